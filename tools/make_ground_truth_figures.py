@@ -15,7 +15,7 @@ from palmd.record.resultfile import Result
 from palmd.record.track import read_track
 from palmd.report import ground_truth_figure
 from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import compared
+from palmd.report.ground_truth import compare
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools.studies`
@@ -48,7 +48,7 @@ def camera(path: Path) -> None:
     palms = [event for event in log.events if isinstance(event, PalmSample)]
     nan = float("nan")
     outline = Outline("true", np.array(truth["h_m"]), np.zeros(360), truth["rho_m"], nan, nan, nan)
-    found = compared(result, motion_of(result, log.rig, palms), track, outline)
+    found = compare(result, motion_of(result, log.rig, palms), track, outline)
     ground_truth_figure.save(result, found, outline, path)
 
 

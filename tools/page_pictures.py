@@ -18,8 +18,8 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
 from palmd.record.run import read_run
-from palmd.report.axes import styled
-from palmd.report.sections import Plate, drawn, report_of
+from palmd.report.axes import figure_style
+from palmd.report.sections import CaptionedFigure, rendered, report_of
 from palmd.report.series import series_of
 
 T = TypeVar("T")
@@ -59,9 +59,9 @@ def take(folder: Path) -> None:
     for section in report_of(series).sections:
         for file, title in SECTIONS.items():
             if section.title == title:
-                plate = next(part for part in section.parts if isinstance(part, Plate))
-                with styled(file):
-                    drawn(plate).savefig(folder / file, metadata={"Date": None})
+                plate = next(part for part in section.parts if isinstance(part, CaptionedFigure))
+                with figure_style(file):
+                    rendered(plate).savefig(folder / file, metadata={"Date": None})
 
 
 def _browser() -> webdriver.Chrome:

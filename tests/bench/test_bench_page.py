@@ -105,7 +105,7 @@ def start(page):
 
 
 def jog(page):
-    handle = page.driver.find_element(By.CSS_SELECTOR, "[aria-label='Turn palm 1 on while held']")
+    handle = page.driver.find_element(By.CSS_SELECTOR, "[aria-label='Turn palm 1 forward while held']")
     if handle.is_enabled():
         ActionChains(page.driver).click_and_hold(handle).pause(1.0).release().perform()
 

@@ -10,7 +10,7 @@ import msgpack
 
 from palmd.config.two_palms import Config
 from palmd.messages import Fields, stamp
-from palmd.record.recording import Ended, Recording
+from palmd.record.recording import ClosedFile, Recording
 from tools.closed_loop import Instant
 
 
@@ -18,7 +18,7 @@ class WirelessRecorder:
     """See the module."""
 
     def __init__(self, config: Config) -> None:
-        self._ended: list[Ended] = []
+        self._ended: list[ClosedFile] = []
         self._recording = Recording(config, self._ended.append)
         self._numbers: Counter[str] = Counter()
         self._t_begun = time.time()

@@ -137,7 +137,7 @@ def test_a_phone_sees_it_all_and_may_watch_without_the_token(page):
     page.script("sessionStorage.clear()")
     page.open(token=False)
     page.until(lambda: not page.shows("stale"), "anything")
-    page.until(lambda: "Watching only" in page.text("authority"), "what it may do")
+    page.until(lambda: "Read-only" in page.text("authority"), "what it may do")
     assert page.enabled() == set()
     assert page.script("return document.documentElement.scrollWidth") == PHONE[0]
     assert page.script(
@@ -158,7 +158,7 @@ def test_it_says_so_within_a_second_when_the_daemon_is_gone(page, demo):
     def paused():
         """Stands still for a while, as if the machine did; a slow browser's first time is not counted."""
         took = seconds_to_tell(signal.SIGSTOP)
-        assert page.text("stale-why") == "Stale: palmd says nothing."
+        assert page.text("stale-why") == "Stale: no data from palmd."
         assert page.enabled() == {"stop"}
         os.kill(number, signal.SIGCONT)
         page.until(lambda: not page.shows("stale"), "fresh data")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.record.recheck import Checked, Difference
+from palmd.record.recheck import CheckedTick, Difference
 from palmd.record.run import Survey
 from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
 from tools.studies.soak_fault_injection import QUIET_S, InjectedFault, Visitor, draw
@@ -170,9 +170,9 @@ def test_messages_that_were_published_and_not_recorded_are_seen():
 
 
 def test_a_replay_that_differs_or_is_empty_is_seen():
-    same = Checked(0, ())
+    same = CheckedTick(0, ())
     assert missed(replayed([same, same])) == set()
-    other = Checked(1, (Difference(1, "psi_rad", 1.0, 2.0, 1.0),))
+    other = CheckedTick(1, (Difference(1, "psi_rad", 1.0, 2.0, 1.0),))
     assert missed(replayed([same, other])) == {"ticks replayed that differ"}
     assert missed(replayed([])) == {"ticks replayed"}
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from palmd.record.run import RunError, read_run
-from palmd.report.course import course_of
+from palmd.report.timeline import timeline_of
 from palmd.report.why import Explanation, answer
 from tools.studies.fault_rows import FaultRow, Kill
 
@@ -51,15 +51,15 @@ def ask(row: FaultRow, path: Path, t_cause: float, t: float) -> Judgement:
     """The answer for a recording at the time `t` (s, monotonic clock), judged by the row."""
     try:
         run = read_run(path)
-        course = course_of(run)
-        full, bare = (answer(run, each, t) for each in (course, replace(course, log=())))
+        timeline = timeline_of(run)
+        full, bare = (answer(run, each, t) for each in (timeline, replace(timeline, log=())))
     except (RunError, OSError) as error:
         return Judgement(path.name, math.nan, math.nan, "", "", str(error), False, False)
-    before = course.at(t_cause)
+    before = timeline.at(t_cause)
     return Judgement(
         path.name,
-        round(t_cause - course.begin, 3),
-        round(t - course.begin, 3),
+        round(t_cause - timeline.begin, 3),
+        round(t - timeline.begin, 3),
         full.cause.name,
         bare.cause.name,
         full.cause.sentence,

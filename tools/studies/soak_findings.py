@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.console.columns import aligned
 from palmd.jsonvalues import or_none
-from palmd.record.recheck import Checked
+from palmd.record.recheck import CheckedTick
 from palmd.record.run import Survey
 
 JUDGED_FROM_S = 1800.0
@@ -91,7 +91,7 @@ def table(findings: Sequence[SoakFinding]) -> str:
 
 
 MEMORY_MB_H = 1.0
-POINTS_MOST = 600  # of a series for its slope, which uses all pairs
+POINTS_MOST = 600  # of a series for its slope: there is a slope for every pair
 WARM_UP_PART, WARM_UP_MOST_S = 0.25, 600.0
 HOUR_S = 3600.0
 
@@ -292,7 +292,7 @@ def recorded(
     ]
 
 
-def replayed(ticks: Iterable[Checked]) -> list[SoakFinding]:
+def replayed(ticks: Iterable[CheckedTick]) -> list[SoakFinding]:
     """Findings about a replay of the first ticks."""
     count = differ = 0
     for tick in ticks:

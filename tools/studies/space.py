@@ -28,7 +28,7 @@ from palmd.model.spherical import evaluator, order_of
 from palmd.motion.body_explorer import NEAR_RAD
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.quantities import STATE
-from palmd.record.systems.three_palms import SYSTEM, laid_out
+from palmd.record.systems.three_palms import SYSTEM, path_and_readings
 from palmd.system.three_palms import JOINTS, PALMS, palms_at
 from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
@@ -265,7 +265,7 @@ def run_offline(task: SpaceTask) -> SpaceRow:
     head, *lines = run.lines
     rig = SYSTEM.rig(head["rig"])
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig) if event is not None)
-    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
     if path is None:
         raise ValueError("the simulated log has no reports of the joints")
     t_cpu = time.process_time()

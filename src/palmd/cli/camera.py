@@ -17,8 +17,8 @@ from palmd.record.resultfile import Result, ResultError, read_result
 from palmd.record.track import ANGLES, OBJECT, TIME, TrackError, read_track
 from palmd.report.camera_clock import GroundTruthError
 from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import CameraComparison, compared
-from palmd.report.ground_truth_report import as_line, told
+from palmd.report.ground_truth import CameraComparison, compare
+from palmd.report.ground_truth_report import as_line, report_lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not palms:
             raise CliError(BAD_INPUT, f"{arguments.log}: has no palm angles")
     try:
-        found = compared(result, motion_of(result, rig, palms), track, outline)
+        found = compare(result, motion_of(result, rig, palms), track, outline)
     except GroundTruthError as error:
         raise CliError(BAD_INPUT, f"{arguments.track}: {error}") from None
     if arguments.figure is not None:
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         with open_output(arguments.output, arguments.result) as stream:
             stream.write(json.dumps(or_none(as_line(found)), allow_nan=False) + "\n")
-    print("\n".join(told(found)), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
+    print("\n".join(report_lines(found)), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
     return 0
 
 

@@ -21,7 +21,7 @@ from palmd.console.columns import aligned
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, raise_if_other
 from palmd.jsonvalues import or_none
-from palmd.report.alignment import AlignmentError, Compared, compared
+from palmd.report.alignment import AlignmentError, TrajectoryComparison, compare
 from palmd.report.tracks import PoseTrack, TrackFileError, read_pose_track
 
 _FIGURES = (".svg", ".png", ".pdf")
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         sources = [read_pose_track(path) for path in files]
         common = read_pose_track(reference) if reference else None
         pairs = _pairs(sources, common)
-        found = [compared(true, each, fit=each.truth is not true) for true, each in pairs]
+        found = [compare(true, each, fit=each.truth is not true) for true, each in pairs]
     except (TrackFileError, AlignmentError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.figure is not None:
@@ -74,7 +74,7 @@ def _pairs(sources: list[PoseTrack], common: PoseTrack | None) -> list[tuple[Pos
     return [(sources[0], each) for each in sources[1:]]
 
 
-def _table(found: list[Compared]) -> str:
+def _table(found: list[TrajectoryComparison]) -> str:
     heads = ("against", "for", "valid", "clock", "position", "largest", "rotation", "largest", "outline", "largest")
     rows: list[tuple[str, tuple[str, ...]]] = [("file", heads)]
     for each in found:
@@ -96,7 +96,7 @@ def _number(value: float, factor: float, unit: str, digits: int) -> str:
     return f"{value * factor:.{digits}f} {unit}" if math.isfinite(value) else "–"
 
 
-def _as_map(each: Compared) -> dict[str, Any]:
+def _as_map(each: TrajectoryComparison) -> dict[str, Any]:
     """All results except the errors over time, with units in the keys."""
     spreads = {"position": ("m", each.position), "rotation": ("rad", each.rotation), "outline": ("m", each.outline)}
     return {
@@ -114,7 +114,7 @@ def _as_map(each: Compared) -> dict[str, Any]:
     }
 
 
-def _draw(found: list[Compared], pairs: list[tuple[PoseTrack, PoseTrack]], path: Path) -> None:
+def _draw(found: list[TrajectoryComparison], pairs: list[tuple[PoseTrack, PoseTrack]], path: Path) -> None:
     try:
         from palmd.report import compare_figure
     except ModuleNotFoundError as error:

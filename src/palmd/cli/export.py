@@ -15,7 +15,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
-from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
+from palmd.record.export import DRAWINGS, FORMATS, ExportError, export, format_of, passes
 from palmd.record.run import RunError, read_any_run
 
 _NEEDED = {"lerobot": ("pandas", "lerobot")}
@@ -34,15 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
         "with --as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
     )
-    parser.add_argument("--as", dest="form", choices=FORMS, help="the format, if the name does not determine it")
+    parser.add_argument("--as", dest="form", choices=FORMATS, help="the format, if the name does not determine it")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the output completely or not at all; CliError if the run is invalid or the output cannot be written."""
     source, target = arguments.run, arguments.output
-    form = arguments.form or form_of(target)
+    form = arguments.form or format_of(target)
     if form is None:
-        raise CliError(BAD_INPUT, f"{target}: the name does not determine the format; add --as {'|'.join(FORMS)}")
+        raise CliError(BAD_INPUT, f"{target}: the name does not determine the format; add --as {'|'.join(FORMATS)}")
     if source.suffix.lower() == ".json":
         if form not in DRAWINGS:
             raise CliError(BAD_INPUT, f"{source}: only the outline of a result can be exported: .svg, .dxf or .csv")
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         if (error.name or "").partition(".")[0] not in ("rerun", "pandas", "pyarrow"):
             raise
         raise missing(f"the format {form}", package, extra) from None
-    except ImportError as error:  # raised by pandas without pyarrow
+    except ImportError as error:  # of pandas, which has no pyarrow
         raise missing(f"the format {form}", "pyarrow", "lerobot") from error
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None

@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
             stream.write(json.dumps(answer.line, allow_nan=False) + "\n")
     if beside is not None:
         _write_mesh(answer, beside, arguments.log)
-    print(f"{arguments.log}: {answer.told}", file=sys.stderr)
+    print(f"{arguments.log}: {answer.summary}", file=sys.stderr)
     return 0
 
 

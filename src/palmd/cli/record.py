@@ -27,7 +27,7 @@ from palmd.record import RunError
 from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapread import is_packed
 from palmd.record.recorder import record
-from palmd.record.recording import Ended
+from palmd.record.recording import ClosedFile
 from palmd.record.runfile import pack
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -89,9 +89,9 @@ class _Packing:
     """Packs finished runs: in a separate process during the recording, or at its end."""
 
     def __init__(self) -> None:
-        self._ended: list[tuple[Ended, subprocess.Popen[bytes] | None]] = []
+        self._ended: list[tuple[ClosedFile, subprocess.Popen[bytes] | None]] = []
 
-    def take(self, ended: Ended, *, in_time: bool) -> None:
+    def take(self, ended: ClosedFile, *, in_time: bool) -> None:
         """Register a finished run; pack it now if it is complete and the recording continues."""
         beside = start_beside(["runs", "recover", str(ended.path)]) if in_time and ended.whole else None
         self._ended.append((ended, beside))

@@ -91,7 +91,7 @@ def _publish(recording: AnyRun, address: str, speed: float, frames: int, *, loop
 def _check(recording: AnyRun) -> int:
     recheck = Recheck(recording)
     total = recording.survey()[recording.topics.events.name].count
-    elsewhere = recheck.elsewhere()
+    elsewhere = recheck.environment_differences()
     for line in elsewhere:
         print(f"{recording.path}: recorded with {line}: the last bits may differ", file=sys.stderr)
     ticks = agree = 0

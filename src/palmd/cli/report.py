@@ -42,5 +42,5 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{subject}: reports of event logs exist for {known} only; record the run")
     with working("reconstructing") as say:
         answer = system.reconstruct(log, 0, say)
-    status: int = load_part(report)(subject, answer.line, answer.told, output)
+    status: int = load_part(report)(subject, answer.line, answer.summary, output)
     return status

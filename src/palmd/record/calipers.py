@@ -1,7 +1,7 @@
-"""Outlines against calipers: the table of a capture's bundle, and how far a reconstruction is from it.
+"""Caliper measurements of captured objects: the table of a capture bundle, and scores of a reconstruction against it.
 
-Calipers find the largest and the smallest width of an outline, whichever way round it lies. With the support function
-h(θ) the width along θ is h(θ) + h(θ + π).
+Calipers measure the largest and the smallest width of an outline, independent of its orientation. With the support
+function h(θ) the width along θ is h(θ) + h(θ + π).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy as np
 from palmd.events import FloatArray
 
 TRUTH = "truth.csv"
-SCALES_SD = 1e-3
-"""One-sigma of scales, as a share."""
+SCALE_RELATIVE_SD = 1e-3
+"""Standard deviation of the weighing scale, relative to the mass."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One object: its recording and photo (files of the bundle), and what calipers and scales say of it.
+    """One object: its recording and photo (files of the bundle), its widths by calipers and its weighed mass.
 
-    sd_mm: one-sigma of a width. mass_g: NaN where it was not weighed.
+    sd_mm: standard deviation of a width. mass_g: NaN if it was not weighed.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Measured:
 
 
 class CaliperError(ValueError):
-    """The table is not in order; the text says where and what to do."""
+    """The table of a bundle is invalid; the text says where and what to do."""
 
 
 def widths_mm(h_m: FloatArray) -> FloatArray:
@@ -57,7 +57,7 @@ def extremes_mm(h_m: Sequence[float] | FloatArray) -> tuple[float, float]:
 
 
 def as_csv(rows: Iterable[Measured]) -> str:
-    """The table's text."""
+    """Format the table as CSV text."""
     out = io.StringIO()
     writer = csv.DictWriter(out, [field.name for field in fields(Measured)], lineterminator="\n")
     writer.writeheader()
@@ -69,15 +69,15 @@ def as_csv(rows: Iterable[Measured]) -> str:
 
 
 def read_table(folder: Path) -> list[Measured]:
-    """The table of a bundle; raises CaliperError with line and column name for what is wrong."""
+    """Read the table of a bundle; raises CaliperError with the line and column that are wrong."""
     path = folder / TRUTH
     try:
         rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error.reason
-        raise CaliperError(f"{path}: {reason}; a bundle of palmd capture has this table") from None
+        raise CaliperError(f"{path}: {reason}; a bundle of palmd capture contains this table") from None
     if not rows:
-        raise CaliperError(f"{path}: has no object; write one line for each recording")
+        raise CaliperError(f"{path}: no objects listed; write one line for each recording")
     return [_row(path, number, row) for number, row in enumerate(rows, 2)]
 
 
@@ -109,10 +109,10 @@ def _row(path: Path, line: int, row: Mapping[str | None, Any]) -> Measured:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """An estimate beside what was measured, both with their sd, and their difference in combined sd.
+    """An estimate and a measurement, each with its standard deviation.
 
-    whole: False where only a bound is known, for a width that not all normals were touched for: the largest that was
-    found may be less than the calipers' and the smallest more; `sigmas` is then 0 unless it is the other way round.
+    whole: False if not all normals were touched; the estimated width is then only a bound. `bound_sign` is 1 for the
+    largest width (the estimate may be smaller than the calipers') and -1 for the smallest (it may be larger).
     """
 
     estimate: float
@@ -120,24 +120,25 @@ class Score:
     measured: float
     measured_sd: float
     whole: bool = True
-    way: int = 0
+    bound_sign: int = 0
 
     @property
     def sigmas(self) -> float:
-        """The difference in combined sd."""
-        off = (self.estimate - self.measured) / math.hypot(self.sd, self.measured_sd)
-        return off if self.whole else self.way * max(self.way * off, 0.0)
+        """Estimate minus measurement in combined standard deviations; for a bound, 0 unless it is violated."""
+        deviation = (self.estimate - self.measured) / math.hypot(self.sd, self.measured_sd)
+        return deviation if self.whole else self.bound_sign * max(self.bound_sign * deviation, 0.0)
 
 
 def scored(result: Mapping[str, Any], measured: Measured) -> dict[str, Score]:
-    """Widths (mm) and mass (g) of a result of `palmd reconstruct`, as far as it has them.
+    """Score the widths (mm) and mass (g) in a result of `palmd reconstruct`; quantities without a value are omitted.
 
-    A width counts where both its ends were touched. The ends share the rig's errors, so that their sds are added.
+    A width is used if the outline was touched at both ends. The ends share the rig's errors, so their standard
+    deviations are added.
     """
     found: dict[str, Score] = {}
     if result.get("mass_kg") is not None and not math.isnan(measured.mass_g):
         found["mass_g"] = Score(
-            result["mass_kg"] * 1e3, result["mass_sd_kg"] * 1e3, measured.mass_g, SCALES_SD * measured.mass_g
+            result["mass_kg"] * 1e3, result["mass_sd_kg"] * 1e3, measured.mass_g, SCALE_RELATIVE_SD * measured.mass_g
         )
     h, sd, touched = (result.get(key) for key in ("h_m", "h_sd_m", "touched"))
     if h is None or sd is None or touched is None:
@@ -145,10 +146,10 @@ def scored(result: Mapping[str, Any], measured: Measured) -> dict[str, Score]:
     widths, sds = widths_mm(np.array(h)), widths_mm(np.array(sd))
     ends = np.array(touched, dtype=bool)
     known = ends & np.roll(ends, -(len(ends) // 2))
-    for name, way, calipers in (("largest_mm", 1, measured.largest_mm), ("smallest_mm", -1, measured.smallest_mm)):
+    for name, sign, calipers in (("largest_mm", 1, measured.largest_mm), ("smallest_mm", -1, measured.smallest_mm)):
         if known.any():
-            index = int(np.where(known, way * widths, -np.inf).argmax())
+            index = int(np.where(known, sign * widths, -np.inf).argmax())
             found[name] = Score(
-                float(widths[index]), float(sds[index]), calipers, measured.sd_mm, bool(known.all()), way
+                float(widths[index]), float(sds[index]), calipers, measured.sd_mm, bool(known.all()), sign
             )
     return found

@@ -1,8 +1,8 @@
-"""Event logs: a run as JSON lines, the neutral form for import and export.
+"""Event logs of two palms on a hinge: a run as JSON lines, the neutral format for import and export.
 
-The first line describes the rig, each other line is one event at the time when it was true; see `logreader` for
-what is forgiven. Here are those of two palms on a hinge; `systems` knows the other ones. Truth, which simulators
-write beside the readings, never becomes an event.
+The first line describes the rig; each other line is one event with its sample time. `logreader` says which defects are
+tolerated, `systems` reads the logs of other systems. Ground truth that simulators write between the readings is not an
+event.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TextIO
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.logreader import VERSION, LogForm, read_log_as
+from palmd.record.logreader import VERSION, LogParser, read_log_as
 from palmd.record.logreader import LogError as LogError
 from palmd.record.vibration_line import read_vibration
 from palmd.system.corrections import corrections, fault_of
@@ -32,12 +32,12 @@ _ANGLES, _RATES, _ACCELERATIONS = (
 )
 _CURVATURE = "palm{}_curvature_per_m"
 Map = tuple[tuple[float, float], ...]
-MAP_LENGTH = "map_length_m"  # in `calibration_sd`, of the pads' smooth error of place
+MAP_LENGTH = "map_length_m"  # key in `calibration_sd`: correlation length of the pads' smooth position error
 
 
 @dataclass(frozen=True, slots=True)
 class EventLog:
-    """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
+    """A run: the rig, its events in file order, and notes on omitted lines."""
 
     rig: RigDescription
     events: tuple[Event, ...]
@@ -48,43 +48,43 @@ class EventLog:
 
 
 def read_log(path: Path) -> EventLog:
-    """Read an event log of two palms on a hinge, as `read_log_as` does; raises LogError, for other systems too."""
+    """Read an event log of two palms on a hinge, as `read_log_as` does; raises LogError, also for other systems."""
     log: EventLog = read_log_as(path, _two_palms)[1]
     return log
 
 
 FULL_SCALE_COUNTS = 127
-"""A pad's pressure has 7 bits; a log tells no pad's full scale otherwise."""
+"""Full scale of a pad's 7-bit pressure; a log does not state it otherwise."""
 
-TIES = 3
-"""So many readings at the last count are no chance: a force that is told in counts seldom ends just there."""
+MIN_FULL_SCALE_READINGS = 3
+"""Number of readings at the last count that show a pad at full scale; fewer may be chance."""
 
 
-def _two_palms(system: str | None) -> LogForm:
+def _two_palms(system: str | None) -> LogParser:
     if system is None:
-        return TwoPalmsForm()
+        return TwoPalmsLogParser()
     raise BadLineError(
-        f"rig.system is {shown(system)}; this needs a log of two palms on a hinge, which names no system"
+        f"rig.system is {shown(system)}; this command needs a log of two palms on a hinge, which has no rig.system"
     )
 
 
-class TwoPalmsForm:
-    """How logs of two palms on a hinge are read."""
+class TwoPalmsLogParser:
+    """Parser for logs of two palms on a hinge."""
 
     kinds = ("pad", "palms")
 
     def __init__(self) -> None:
-        """Until a header says otherwise, readings are as they are."""
+        """Readings are not corrected until a header with pad maps has been read."""
         self._maps: Sequence[Map] = ((),) * len(PALMS)
 
     def rig(self, line: Line) -> RigDescription:
-        """The header's rig. For an arc hinge the fixed end B lies at (L1, 0), so that O = 0 where φ1 = 0."""
+        """Parse the rig from the header. For an arc hinge the fixed end B lies at (L1, 0), so O = 0 where φ1 = 0."""
         described = _rig(line)
         self._maps = [_map(each) for each in _own_pads(line)] or self._maps
         return described
 
     def events(self, t: float, line: Line, rig: RigDescription) -> Iterator[Event | None]:
-        """A pad's reading, or the palms' angles, or both."""
+        """Yield the pad reading, the palm angles, or both; None for a reading off the pad."""
         if "pad" in line:
             sample = self._corrected(_pad_sample(t, line))
             yield sample if 0.0 < sample.s <= rig.pads[sample.pad - 1].length + MARGIN_MM * 1e-3 else None
@@ -96,7 +96,7 @@ class TwoPalmsForm:
         return replace(sample, s=sample.s + float(corrections(points, [sample.s])[0])) if points else sample
 
     def log(self, rig: RigDescription, events: tuple[Event, ...], notes: tuple[str, ...]) -> EventLog:
-        """The run."""
+        """Build the log from rig, events and notes."""
         return EventLog(rig, _censored(events, rig), notes)
 
 
@@ -106,22 +106,21 @@ def _pad_sample(t: float, line: Line) -> PadSample:
         raise BadLineError(f"pad must be {' or '.join(map(str, PALMS))}, got {shown(pad)}")
     s = number(line, "s_m")
     if abs(s) > _MAX_LENGTH_M:
-        raise BadLineError(f"s_m is {s:g}, which is no place on a palm; it is in metres")
+        raise BadLineError(f"s_m is {s:g}, not a position on a palm; the unit is metres")
     return PadSample(t, pad, s, optional(line, "force_n"))
 
 
 def _censored(events: tuple[Event, ...], rig: RigDescription) -> tuple[Event, ...]:
-    """The events, readings at a pad's full scale as saturated: at least so much, instead of a force.
+    """Mark readings at a pad's full scale as censored: a lower bound (`at_least`) instead of a force.
 
-    A pressure has 127 counts. A log whose forces end exactly there, with readings that lie on
-    that count, is of a pad that could tell no more.
+    A pressure has 127 counts. If a log's largest forces lie exactly on that count, the pad was saturated.
     """
     found = {}
     for pad, sensor in enumerate(rig.pads, 1):
         forces = [e.force for e in events if isinstance(e, PadSample) and e.pad == pad and e.force is not None]
         full, half = FULL_SCALE_COUNTS * sensor.force_resolution, 0.5 * sensor.force_resolution
         at_full = sum(force > full - half for force in forces)
-        if half > 0.0 and at_full >= TIES and max(forces) <= full + half:
+        if half > 0.0 and at_full >= MIN_FULL_SCALE_READINGS and max(forces) <= full + half:
             found[pad] = full, full - half
     if not found:
         return events
@@ -139,14 +138,14 @@ def _palm_sample(t: float, palms: Line) -> PalmSample:
         if name == _ANGLES[OPENING] and not 0.0 < angle < math.pi:
             raise BadLineError(f"{name} is {angle:g}; the angle between the palms lies between 0 and pi")
         if abs(angle) > math.tau:
-            raise BadLineError(f"{name} is {angle:g}, more than a full turn; it is in radians")
+            raise BadLineError(f"{name} is {angle:g}, more than a full turn; the unit is radians")
     return PalmSample(t, angles, _joints(palms, _RATES), _joints(palms, _ACCELERATIONS))
 
 
 def _joints(palms: Line, names: Sequence[str]) -> Joints | None:
-    """The plan's values of all joints, None where one is missing."""
-    told = [optional(palms, name) for name in names]
-    known = tuple(value for value in told if value is not None)
+    """The commanded values of all joints; None if one is missing."""
+    values = [optional(palms, name) for name in names]
+    known = tuple(value for value in values if value is not None)
     return known if len(known) == len(names) else None
 
 
@@ -174,7 +173,7 @@ def _rig(rig: Line) -> RigDescription:
 
 
 def _own_pads(rig: Line) -> list[Line]:
-    """What the log says of each pad by itself; nothing where they are alike."""
+    """The per-pad entries of the header (`pads`); empty if the pads are identical."""
     own = rig.get("pads")
     if own is None:
         return []
@@ -184,7 +183,7 @@ def _own_pads(rig: Line) -> list[Line]:
 
 
 def _map(pad: Line) -> Map:
-    """A pad's corrections by place (m), from pairs in mm; nothing where it has none."""
+    """A pad's map from position to correction (m), given as pairs in mm; empty if it has none."""
     points = pad.get("map")
     if points is None:
         return ()
@@ -199,17 +198,17 @@ def _map(pad: Line) -> Map:
 
 
 def _curvature(rig: Line, palm: int, length: float) -> float:
-    """A palm's (1/m), 0 where the log says nothing."""
+    """A palm's curvature (1/m); 0 if the log does not give it."""
     key = _CURVATURE.format(palm)
     curvature = number(rig, key) if rig.get(key) is not None else 0.0
     if abs(curvature) * length > math.pi / 2:
         radius = f"a radius of {1e3 / abs(curvature):.3g} mm"
-        raise BadLineError(f"{key} is {curvature:g}, {radius}, which bends the pad by more than a quarter turn")
+        raise BadLineError(f"{key} is {curvature:g}, {radius}: the pad would bend by more than a quarter turn")
     return curvature
 
 
 def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
-    """A pad's sensor, its reach and noise from the block `pad`, the rest from `line`."""
+    """A pad's sensor: length, noise and resolution from the block `pad`, the rest from `line`."""
     known = _calibration_sd(line)
     return replace(
         default,
@@ -225,9 +224,10 @@ def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
 
 
 def _default_sds(rig: Line) -> Mapping[str, float]:
-    """What goes for constants of which the log says nothing: as calibrated, or known if all that it names are.
+    """Standard deviations of constants that the log does not name.
 
-    How alike the palms rub is no matter of calibration: whoever means it says so by name.
+    They are 0 if the log gives 0 for all that it names, else those of a calibrated rig. The difference of the palms'
+    friction is not a matter of calibration and is 0 only if the log says so.
     """
     if not _exact(rig):
         return AS_CALIBRATED
@@ -235,22 +235,22 @@ def _default_sds(rig: Line) -> Mapping[str, float]:
 
 
 def _exact(rig: Line) -> bool:
-    """Whether the log says that all constants that it names are known exactly."""
-    told = [sd for key, sd in _calibration_sd(rig).items() if sd is not None and key != MAP_LENGTH]
-    return bool(told) and not any(told)
+    """Whether the log gives standard deviations and all of them are 0."""
+    given = [sd for key, sd in _calibration_sd(rig).items() if sd is not None and key != MAP_LENGTH]
+    return bool(given) and not any(given)
 
 
 def _own_sensor(line: Line, common: PadSensor) -> PadSensor:
-    """What one entry of `pads` says of its pad; how well its constants are known is as of all where left out."""
+    """The sensor of one entry of `pads`; standard deviations that it omits are those common to all pads."""
     own = _sensor(line, line, common)
     of_pad = {name: getattr(common, name) for name in CALIBRATION_KEYS if hasattr(common, name)}
     return replace(own, **_sds(line, of_pad))
 
 
 def _sds(line: Line, default: Mapping[str, float]) -> dict[str, float]:
-    """How well constants are known; what `line` does not say is as in `default`."""
-    told = _calibration_sd(line)
-    return {name: not_negative(told, CALIBRATION_KEYS[name], each) for name, each in default.items()}
+    """Standard deviations of the constants in `default`; those that `line` omits are as in `default`."""
+    given = _calibration_sd(line)
+    return {name: not_negative(given, CALIBRATION_KEYS[name], each) for name, each in default.items()}
 
 
 def _calibration_sd(line: Line) -> Line:
@@ -261,22 +261,23 @@ def _calibration_sd(line: Line) -> Line:
 
 
 def write_log(stream: TextIO, rig: RigDescription, events: Iterable[Event]) -> None:
-    """Write a run as an event log; a `PadLift` has no form there and shows as the silence that follows it."""
+    """Write a run as an event log. The format has no line for a `PadLift`; it shows as a gap in the readings."""
     for line in (header_line(rig), *filter(None, map(event_line, events))):
         stream.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
 
 
 def header_line(rig: RigDescription) -> Line:
-    """The first line of a log. Where an arc hinge's fixed end lies is not told: logs put it at (L1, 0).
+    """The first line of a log. The fixed end of an arc hinge is not written: logs define it at (L1, 0).
 
-    Where the pads differ, `pads` has each one's own and the rest the worse of both, for readers that take them alike.
+    If the pads differ, `pads` has the values of each, and the common keys have the worse value of both for readers that
+    assume identical pads.
     """
     hinge: Line = {"mode": rig.hinge}
     if rig.hinge == "arc":
         hinge["palm1_length_m"] = rig.palm1_length
     pads = [_pad_line(pad) for pad in rig.pads]
     worst = {key: (min if key == "length_m" else max)(pad[key] for pad in pads) for key in pads[0]}
-    sds = {key: _told_sd(rig, name) for name, key in CALIBRATION_KEYS.items()}
+    sds = {key: _calibration_sd_of(rig, name) for name, key in CALIBRATION_KEYS.items()}
     sds[MAP_LENGTH] = max(rig.pads, key=lambda pad: pad.map_sd).map_length
     described: Line = {
         "gravity_m_s2": rig.gravity,
@@ -315,22 +316,22 @@ def _pad_line(pad: PadSensor) -> Line:
     }
 
 
-def _told_sd(rig: RigDescription, name: str) -> float:
-    """How well the rig's constant is known; the worse one where it is each pad's own."""
+def _calibration_sd_of(rig: RigDescription, name: str) -> float:
+    """Standard deviation of a rig constant; for a constant of each pad, the larger one."""
     return float(getattr(rig, name)) if hasattr(rig, name) else max(getattr(pad, name) for pad in rig.pads)
 
 
 def event_line(event: Event) -> Line | None:
-    """One event as a line; None for what has no form there."""
+    """One event as a line; None for events that the format does not have."""
     if isinstance(event, PadSample):
         fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
-        return {"t": event.t_sample} | _told(fields)
+        return {"t": event.t_sample} | _without_none(fields)
     if isinstance(event, PalmSample):
-        told = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
-        palms = {name: value for names, values in told for name, value in zip(names, values or (), strict=False)}
+        columns = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
+        palms = {name: value for names, values in columns for name, value in zip(names, values or (), strict=False)}
         return {"t": event.t_sample, "palms": palms}
     return None
 
 
-def _told(fields: Line) -> Line:
+def _without_none(fields: Line) -> Line:
     return {name: value for name, value in fields.items() if value is not None}

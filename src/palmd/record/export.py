@@ -1,4 +1,4 @@
-"""A recorded run in the forms of other programs, each written as a whole or not at all."""
+"""Export of a recorded run to the formats of other programs; an output is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from palmd.record.outline_files import Writer, writer_of
 from palmd.record.run import AnyRun, Run, RunError, read_any_run
 from palmd.systems import SYSTEMS
 
-Form = Literal["log", "csv", "mcap-json", "rrd", "lerobot", "svg", "dxf", "points"]
-FORMS: tuple[Form, ...] = get_args(Form)
-_SUFFIXES: dict[str, Form] = {
+ExportFormat = Literal["log", "csv", "mcap-json", "rrd", "lerobot", "svg", "dxf", "points"]
+FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
+_SUFFIXES: dict[str, ExportFormat] = {
     ".jsonl": "log",
     ".zip": "csv",
     "": "csv",
@@ -28,45 +28,45 @@ _SUFFIXES: dict[str, Form] = {
     ".dxf": "dxf",
     ".csv": "points",
 }
-DRAWINGS: dict[Form, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
-"""The forms of one outline, and the suffix of each."""
-OTHERS = "its events are in the tables of a folder (CSV) and in .mcap"
+DRAWINGS: dict[ExportFormat, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
+"""Formats of a single outline, with their suffixes."""
+OTHERS = "export its events as CSV tables (a folder) or as .mcap"
 _FOLDERS = ("csv", "lerobot")
-_TWICE = ("csv", "mcap-json")
-"""The forms that a run must be read through beforehand for."""
+_TWO_PASS_FORMATS = ("csv", "mcap-json")
+"""Formats that need a first pass over all messages."""
 
 
 class ExportError(Exception):
-    """An output that is not written to; its text is one line `file: what`."""
+    """An output that is not written; the text is one line `file: what is wrong`."""
 
 
-def form_of(target: Path) -> Form | None:
-    """What the name of the output asks for, None when it does not tell; a folder is for CSV."""
+def format_of(target: Path) -> ExportFormat | None:
+    """The format by the output's suffix, None if the suffix is unknown; a folder means CSV."""
     return "csv" if target.is_dir() else _SUFFIXES.get(target.suffix.lower())
 
 
-def passes(form: Form) -> int:
-    """How often every message is read."""
-    return 2 if form in _TWICE else 1
+def passes(export_format: ExportFormat) -> int:
+    """Number of passes over the messages."""
+    return 2 if export_format in _TWO_PASS_FORMATS else 1
 
 
-def export(run: AnyRun, target: Path, form: Form, done: Callable[[], None]) -> None:
+def export(run: AnyRun, target: Path, export_format: ExportFormat, done: Callable[[], None]) -> None:
     """Write `run` to `target`; `done` is called after each message of each pass.
 
-    A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
-    OSError, and ModuleNotFoundError without rerun, pandas or ezdxf; there is then no part of an output.
+    An existing file is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
+    OSError, and ModuleNotFoundError if rerun, pandas or ezdxf is needed and missing; no partial output remains then.
     """
     if _is_recording(target):
-        raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
+        raise ExportError(f"{target}: is a recorded run, which export never overwrites; export to another file")
     if target.exists() and not (target.is_file() or target.is_dir()):
         raise ExportError(f"{target}: is a device; export to a file")
-    if target.is_dir() and form not in _FOLDERS:
-        raise ExportError(f"{target}: is a folder; the form {form} is one file")
+    if target.is_dir() and export_format not in _FOLDERS:
+        raise ExportError(f"{target}: is a folder; the format {export_format} is a single file")
     if target.is_dir() and any(target.iterdir()):
         raise ExportError(f"{target}: is not empty; export to a new folder")
     part = target.with_name(f".{target.name}.part")
     try:
-        _writer(form, target)(run, part, done)
+        _writer(export_format, target)(run, part, done)
         part.rename(target)
     except BaseException:
         shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
@@ -81,8 +81,8 @@ def _is_recording(target: Path) -> bool:
     return True
 
 
-def _writer(form: Form, target: Path) -> Callable[[AnyRun, Path, Callable[[], None]], None]:
-    match form:
+def _writer(export_format: ExportFormat, target: Path) -> Callable[[AnyRun, Path, Callable[[], None]], None]:
+    match export_format:
         case "log":
             return _write_log
         case "csv":
@@ -98,13 +98,13 @@ def _writer(form: Form, target: Path) -> Callable[[AnyRun, Path, Callable[[], No
 
             return write_lerobot
         case "svg" | "dxf" | "points":
-            drawn = writer_of(DRAWINGS[form])
+            drawn = writer_of(DRAWINGS[export_format])
             return lambda run, path, done: _write_outline(drawn, run, path, done)
 
 
 def _write_log(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
     if not isinstance(run, Run):
-        raise ExportError(f"{run.path}: is of {SYSTEMS[run.system].words}, of which no event log is written; {OTHERS}")
+        raise ExportError(f"{run.path}: event logs of {SYSTEMS[run.system].words} cannot be written; {OTHERS}")
     write_log(run, path, done)
 
 
@@ -113,7 +113,7 @@ def _write_outline(drawn: Writer, run: AnyRun, path: Path, done: Callable[[], No
 
 
 def last_outline(run: AnyRun, done: Callable[[], None]) -> OutlineCurves:
-    """The last outline of a run whose estimate was valid; raises ExportError when there is none."""
+    """The last outline of a run with a valid estimate; raises ExportError if there is none."""
     estimate: Fields | None = None
     found: tuple[Fields, Fields] | None = None
     for message in run.messages():
@@ -123,5 +123,5 @@ def last_outline(run: AnyRun, done: Callable[[], None]) -> OutlineCurves:
             found = message.fields, estimate
         done()
     if found is None:
-        raise ExportError(f"{run.path}: no outline in it was ever called valid: there is nothing to draw")
-    return run.drawn(*found)
+        raise ExportError(f"{run.path}: no outline in it was valid; there is nothing to draw")
+    return run.outline_curves(*found)

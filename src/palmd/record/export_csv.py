@@ -1,4 +1,4 @@
-"""A recorded run as tables: one CSV file a topic, one row a message, one column a field."""
+"""Export of a recorded run as CSV tables: one file per topic, one row per message, one column per field."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from typing import Any
 
 from palmd.jsonvalues import or_none
 from palmd.record.run import AnyRun
-from palmd.record.tables import examples, flat
+from palmd.record.tables import field_examples, flat
 
 
 def write_csv(run: AnyRun, folder: Path, done: Callable[[], None]) -> None:
-    """The tables as files of a new `folder`; see `cell` for what stands in them. Raises RunError, OSError.
+    """Write the tables into a new `folder`; `cell` defines the cells. Raises RunError, OSError.
 
     `done` is called twice for each message.
     """
     folder.mkdir()
-    known = examples(run, done)
+    known = field_examples(run, done)
     with ExitStack() as stack:
         tables = {}
         for topic, fields in known.items():
@@ -37,7 +37,7 @@ def write_csv(run: AnyRun, folder: Path, done: Callable[[], None]) -> None:
 
 
 def write_zip(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
-    """The same files in a ZIP archive. Raises RunError, OSError."""
+    """Write the same files into a ZIP archive. Raises RunError, OSError."""
     with tempfile.TemporaryDirectory(prefix="palmd-export-", dir=path.parent) as scratch:
         folder = Path(scratch) / "tables"
         write_csv(run, folder, done)
@@ -52,7 +52,7 @@ def file_name(topic: str) -> str:
 
 
 def cell(value: Any) -> Any:
-    """Empty for no value, 1 or 0 for a truth value, JSON text for a list; numbers keep every bit."""
+    """One cell: empty for NaN, 1 or 0 for a boolean, JSON text for a list; numbers keep full precision."""
     if isinstance(value, list):
         return json.dumps(or_none(value), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""A recorded run as an MCAP file with messages in JSON, for readers that know no msgpack: Foxglove and Lichtblick."""
+"""Export of a recorded run as MCAP with JSON messages, for readers without msgpack: Foxglove and Lichtblick."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from palmd.messages import Fields
 from palmd.record.mcapfile import SCHEMA_ENCODING, json_schema
 from palmd.record.run import AnyRun
 from palmd.record.scene import Scene
-from palmd.record.tables import examples
+from palmd.record.tables import field_examples
 
 MESSAGE_ENCODING = "json"
 EXPORTED = "palmd-export"
@@ -24,12 +24,12 @@ _TYPES = {bool: "boolean", int: "number", float: "number", str: "string"}
 
 
 def write_json(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
-    """Every message with its times, no value being null, and `scene`: palms and outline in the world frame (m).
+    """Write every message with its times (null for NaN), and a topic `scene`: palms and outline in the world frame (m).
 
     `done` is called twice for each message. Raises RunError, OSError.
     """
-    scenes = run.scenes()
-    known = examples(run, done)
+    scenes = run.scene_builder()
+    known = field_examples(run, done)
     if scenes is not None:
         known |= {SCENE: {"valid": True} | {name: [0.0] for name in _SCENE}}
     with path.open("wb") as stream:
@@ -51,14 +51,15 @@ def write_json(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
 
 
 def schema(topic: str, fields: Fields) -> dict[str, Any]:
-    """A schema of messages like `fields` in the plain dialect of those readers.
+    """A JSON schema of messages like `fields`, in the subset that those readers support.
 
-    They want every property of every object named, know no patterns and one type only for each; that a number may be
-    null is therefore not said.
+    They need every property of every object by name, without patterns and with a single type; the schema therefore does
+    not state that a number may be null.
     """
-    said = json_schema(topic).get("properties", {})
+    documented = json_schema(topic).get("properties", {})
     properties = {
-        name: _typed(name, value) | {key: text for key, text in said.get(name, {}).items() if key == "description"}
+        name: _typed(name, value)
+        | {key: text for key, text in documented.get(name, {}).items() if key == "description"}
         for name, value in fields.items()
     }
     return {"title": topic, "type": "object", "properties": properties}
@@ -83,6 +84,6 @@ def _write(writer: Writer, channel: int, fields: Fields, times: tuple[int, int],
 
 
 def _scene_fields(scene: Scene) -> Fields:
-    places = (scene.palms, scene.outline, scene.centre[None])
-    columns = (column.tolist() for points in places for column in points.T)
+    curves = (scene.palms, scene.outline, scene.centre[None])
+    columns = (column.tolist() for points in curves for column in points.T)
     return {"valid": scene.valid} | dict(zip(_SCENE, columns, strict=True))

@@ -1,7 +1,8 @@
-"""A recorded run as a LeRobot data set, version 3.0 of its format: one episode, a frame for each tick that tracked.
+"""Export of a recorded run as a LeRobot data set, format version 3.0: one episode, one frame per tick while tracking.
 
-The only module that needs pandas and pyarrow, an optional extra. https://github.com/huggingface/lerobot describes the
-format: tables in Parquet below `data` and `meta`, features and statistics in JSON. There are no images in it.
+The only module that needs pandas and pyarrow, an optional extra. The format is described at
+https://github.com/huggingface/lerobot: Parquet tables below `data` and `meta`, features and statistics in JSON. The
+data set has no images.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ _SCALARS = {"timestamp": "float32", "frame_index": "int64", "episode_index": "in
 
 
 def write_lerobot(run: AnyRun, folder: Path, done: Callable[[], None]) -> None:
-    """Writes the folder; `done` is called after each message. Raises RunError without a tick that tracked, OSError.
+    """Write the data set; `done` is called after each message. Raises RunError if the arm never tracked, OSError.
 
-    `action` are the commanded joints, `observation.state` the reported ones, `observation.contacts` the pads' readings,
-    `observation.object` the estimate with its validity first; a value that is not known is 0.
+    `action` are the commanded joints, `observation.state` the reported ones, `observation.contacts` the pad readings,
+    `observation.object` the estimate with its validity first. Unknown values are 0.
     """
     columns = _columns(run, done)
     names = _names(run)
     count = len(columns[ACTION])
     if not count:
-        raise RunError(f"{run.path}: the arm was never commanded in it: there is no action to learn from")
+        raise RunError(f"{run.path}: the arm was never commanded, so there is no action to learn from")
     fps = round(run.config.loop.rate_hz)
     frames = {name: list(np.array(rows, dtype=np.float32)) for name, rows in columns.items()}
     number = np.arange(count, dtype=np.int64)
@@ -75,7 +76,7 @@ def write_lerobot(run: AnyRun, folder: Path, done: Callable[[], None]) -> None:
 
 
 def columns_plans(run: AnyRun) -> Iterator[str]:
-    """The plans that were run, in their order."""
+    """The names of the plans that were run, in order, with repetitions."""
     for message in run.messages(run.topics.motion.name):
         fields = message.fields
         if fields.get("plan") and fields.get("segment", -1) >= 0:
@@ -83,7 +84,7 @@ def columns_plans(run: AnyRun) -> Iterator[str]:
 
 
 def _names(run: AnyRun) -> dict[str, tuple[str, ...]]:
-    """The fields of each feature."""
+    """Field names of each feature."""
     commanded = tuple(name for name in _numbers(run.topics.motion) if COMMANDED in name)
     contacts = tuple(name for name in _numbers(run.topics.contact) if not name.endswith("_ms"))
     estimated = tuple(name for name in _numbers(run.topics.estimate) if name not in ("valid", "object"))
@@ -100,7 +101,7 @@ def _numbers(topic: Topic) -> Iterator[str]:
 
 
 def _columns(run: AnyRun, done: Callable[[], None]) -> dict[str, list[list[float]]]:
-    """Each feature's rows: one for each message of the motion while the joints are commanded."""
+    """Rows of each feature: one per motion message while the joints are commanded."""
     names, topics = _names(run), run.topics
     contact: Fields = {}
     estimate: Fields = {}

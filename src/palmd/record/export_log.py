@@ -1,4 +1,4 @@
-"""A recorded run as an event log."""
+"""Export of a recorded run as an event log."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _STAMP = {field.name for field in STAMP}
 
 
 def write_log(run: Run, path: Path, done: Callable[[], None]) -> None:
-    """Every event in the order in which the observer was fed it, with an emulated rig's truth in between.
+    """Write every event in the order in which the observer received it, interleaved with an emulated rig's truth.
 
-    The end of a contact has no form there and shows as the silence that follows it. `done` is called after
-    each message. Raises RunError, OSError.
+    The format has no line for the end of a contact; it shows as a gap in the readings. `done` is called after each
+    message. Raises RunError, OSError.
     """
-    run.event_log()  # raises RunError when there is nothing to write
+    run.event_log()  # raises RunError if there is nothing to write
     with path.open("w", encoding="utf-8") as stream:
         stream.write(_text(header_line(run.rig)))
         for line in _lines(run, done):
@@ -31,7 +31,7 @@ def write_log(run: Run, path: Path, done: Callable[[], None]) -> None:
 
 
 def _lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
-    """Events, each after the truth up to its time; the rig is heard sooner than what the daemon makes of it."""
+    """Events, each preceded by the truth up to its time; truth messages arrive before the daemon's events."""
     truths: deque[Line] = deque()
     for message in run.messages():
         if message.topic == TRUTH.name:
@@ -46,8 +46,8 @@ def _lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
 
 
 def _truth_line(fields: Line) -> Line:
-    told = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
-    return {"t": fields["mono_ns"] * 1e-9, "truth": told}
+    values = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
+    return {"t": fields["mono_ns"] * 1e-9, "truth": values}
 
 
 def _text(line: Line) -> str:

@@ -1,4 +1,4 @@
-"""A recorded run for the rerun viewer: every number as a time series, the scene in space, states and faults as a log.
+"""Export of a recorded run for the rerun viewer: numbers as time series, the scene in 3-D, states and faults as a log.
 
 The only module that needs the package rerun-sdk, an optional extra.
 """
@@ -20,21 +20,21 @@ from palmd.record.scene import Scene
 from palmd.record.tables import flat
 
 TIMELINE = "time"
-ROWS = 10_000  # of a series that are sent at once
+ROWS = 10_000  # rows of a series per call of the library
 _OUTLINE, _FAINT_OUTLINE = [0, 114, 178], [150, 190, 215]
 _PALMS, _CENTRE = [120, 120, 120], [213, 94, 0]
 _OUTLINE_RADIUS, _PALM_RADIUS, _CENTRE_RADIUS = 2e-4, 5e-4, 1e-3  # m
 
 
 def write_rerun(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
-    """Times are those of the stamps. `done` is called after each message. Raises RunError, OSError."""
-    scenes = run.scenes()
-    path.touch()  # tells an OSError of its own if that cannot be
+    """Write the file; times are the messages' stamps. `done` is called after each message. Raises RunError, OSError."""
+    scenes = run.scene_builder()
+    path.touch()  # raises OSError if the file cannot be written
     recording = rr.RecordingStream("palmd", recording_id=run.metadata["started"])
     recording.save(path)
     recording.log("scene", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
     series: dict[str, _Series] = {}
-    states = _States()
+    states = _StateLog()
     for message in run.messages():
         fields, t_ns = message.fields, message.publish_time_ns
         for name, value in flat(fields):
@@ -54,7 +54,7 @@ def write_rerun(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
 
 
 class _Series:
-    """One field of one topic, collected to be sent in columns: row by row would take many times as long."""
+    """One field of one topic, collected and sent as columns, which is many times faster than row by row."""
 
     def __init__(self, recording: rr.RecordingStream, entity: str) -> None:
         self._recording, self._entity = recording, entity
@@ -74,17 +74,17 @@ class _Series:
         self._t_ns, self._values = array("q"), array("d")
 
 
-class _States:
-    """Tells states and faults when they change."""
+class _StateLog:
+    """Logs state and faults when they change."""
 
     def __init__(self) -> None:
-        self._told: tuple[str, tuple[str, ...]] = ("", ())
+        self._last: tuple[str, tuple[str, ...]] = ("", ())
 
     def log(self, recording: rr.RecordingStream, t_ns: int, fields: Fields) -> None:
         state, faults = fields["state"], tuple(fields["faults"])
-        if (state, faults) == self._told:
+        if (state, faults) == self._last:
             return
-        self._told = (state, faults)
+        self._last = (state, faults)
         recording.set_time(TIMELINE, timestamp=np.datetime64(t_ns, "ns"))
         text = ": ".join([state, ", ".join(faults)] if faults else [state])
         recording.log(f"{STATE.name}/told", rr.TextLog(text, level="WARN" if faults else "INFO"))

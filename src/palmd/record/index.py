@@ -1,4 +1,4 @@
-"""The recordings in a folder, each summarised once: a small index beside them, which can always be rebuilt."""
+"""Index of the recordings in a folder: a summary of each, cached in a small file that can always be rebuilt."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from palmd.record import MAGIC, SUFFIX
 NAME = ".palmd-runs.json"
 FORMAT = 2
 NOTE_SUFFIX = ".note"
-LIVE_S = 3.0
-"""A file that was written to so lately and has no end is being recorded: it is listed, and read when it is finished."""
+BEING_WRITTEN_S = 3.0
+"""A file without an end that was modified less than this long ago is being recorded; it is read when finished."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """A recording in a few words; NaN and empty for what it does not tell.
+    """Summary of a recording; NaN or empty for unknown values.
 
-    state: the daemon's last one. valid: whether the last estimate was. lost: how often a known object was lost.
-    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, of
-    the last valid outline. sd_m, worst_sd_m: of that outline, median and largest.
-    faults: codes of those that held or stopped. damage: what of it cannot be read. problem: why it cannot be used.
+    state: last state of the daemon. valid: validity of the last estimate. lost: how often a known object was lost.
+    object: name of the recognised stored outline, `NONE_OF_THESE`, or empty. touched: fraction of the normals of the
+    last valid outline. sd_m, worst_sd_m: median and largest standard deviation of that outline.
+    faults: codes of faults that held or stopped. damage: text on unreadable parts. problem: why it cannot be used.
     """
 
     started: str = ""
@@ -52,15 +52,15 @@ class RunSummary:
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
-    """One recording, by its file's name in the folder."""
+    """One recording of the folder, by file name."""
 
     name: str
     size_bytes: int
     mtime_ns: int
     summary: RunSummary
 
-    def noted(self, note: str) -> IndexedRun:
-        """With the note that lies beside it."""
+    def with_note(self, note: str) -> IndexedRun:
+        """A copy with the note from the file beside the recording."""
         if not note:
             return self
         return replace(self, summary=replace(self.summary, notes=(*self.summary.notes, note)))
@@ -69,16 +69,16 @@ class IndexedRun:
 def indexed(
     folder: Path, *, rebuild: bool = False, progress: Callable[[int, int], None] | None = None
 ) -> list[IndexedRun]:
-    """The recordings in a folder, the latest first; reads those that are new or changed and keeps what it finds.
+    """The recordings in a folder, latest first; reads new and changed ones and updates the index.
 
-    `progress` hears how many of how many that must be read have been. An index that is damaged, of another format, or
-    may not be written, costs time and nothing else. Raises OSError for a folder that cannot be read.
+    `progress` is called with the number of recordings read and to be read. An index that is damaged, of another format
+    or not writable only costs time. Raises OSError for a folder that cannot be read.
     """
     known = {} if rebuild else _read(folder / NAME)
     files = sorted(_files(folder), key=lambda each: each[0], reverse=True)
-    stale = [each for each in files if not _is(known.get(each[0]), each)]
+    stale = [each for each in files if not _is_current(known.get(each[0]), each)]
     for number, (name, size, mtime_ns) in enumerate(stale, 1):
-        live = time.time_ns() - mtime_ns < LIVE_S * 1e9 and not _has_end(folder / name)
+        live = time.time_ns() - mtime_ns < BEING_WRITTEN_S * 1e9 and not _has_end(folder / name)
         summary = RunSummary(problem="is being recorded") if live else _read_through(folder / name)
         known[name] = IndexedRun(name, size, 0 if live else mtime_ns, summary)
         if progress is not None:
@@ -86,18 +86,18 @@ def indexed(
     runs = [known[name] for name, _, _ in files]
     if stale or len(known) > len(files):
         _write(folder / NAME, runs)
-    return [run.noted(_note(folder / run.name, notes)) for notes in [_notes(folder)] for run in runs]
+    return [run.with_note(_note(folder / run.name, notes)) for notes in [_notes(folder)] for run in runs]
 
 
 def annotate(recording: Path, note: str) -> Path:
-    """Puts a note beside a recording, in place of the one that was there; raises OSError."""
+    """Write a note file beside a recording, replacing an earlier one; raises OSError."""
     path = recording.with_suffix(NOTE_SUFFIX)
     path.write_text(f"{note.strip()}\n", encoding="utf-8")
     return path
 
 
 def _has_end(recording: Path) -> bool:
-    """Whether it ends as a finished one does, so that nobody writes to it any more."""
+    """Whether the file ends as a finished MCAP file does; it is then no longer being written."""
     with contextlib.suppress(OSError), recording.open("rb") as stream:
         stream.seek(max(0, stream.seek(0, 2) - len(MAGIC)))
         return stream.read() == MAGIC
@@ -105,13 +105,13 @@ def _has_end(recording: Path) -> bool:
 
 
 def _read_through(recording: Path) -> RunSummary:
-    from palmd.record.summary import summary_of  # what reads recordings takes longer to load than an index
+    from palmd.record.summary import summary_of  # loading the reader takes longer than reading an index
 
     return summary_of(recording)
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
-    """Name, size and time of each recording."""
+    """Name, size (bytes) and modification time (ns) of each recording."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.endswith(SUFFIX) and entry.is_file():
@@ -133,12 +133,12 @@ def _note(recording: Path, notes: frozenset[str]) -> str:
     return ""
 
 
-def _is(known: IndexedRun | None, file: tuple[str, int, int]) -> bool:
+def _is_current(known: IndexedRun | None, file: tuple[str, int, int]) -> bool:
     return known is not None and (known.name, known.size_bytes, known.mtime_ns) == file
 
 
 def _read(path: Path) -> dict[str, IndexedRun]:
-    """What was found before; nothing where the index does not say it in its own form."""
+    """The entries of the index; empty if it is missing, damaged or of another format."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] == FORMAT:
@@ -149,7 +149,7 @@ def _read(path: Path) -> dict[str, IndexedRun]:
 
 
 def _summary(fields: Mapping[str, Any]) -> RunSummary:
-    """Raises KeyError, TypeError for fields that are not those of a summary."""
+    """Decode a summary; raises KeyError, TypeError for other fields."""
     names = RunSummary.__dataclass_fields__
     return RunSummary(**{name: _value(fields[name]) for name in names})
 
@@ -159,7 +159,7 @@ def _value(value: Any) -> Any:
 
 
 def _write(path: Path, runs: list[IndexedRun]) -> None:
-    """As a whole or not at all; who may not write here reads the recordings again next time."""
+    """Write the index atomically; if that is not permitted, the recordings are read again next time."""
     rows = [asdict(run) for run in runs]
     for row in rows:
         row["summary"] = {name: None if value != value else value for name, value in row["summary"].items()}

@@ -1,7 +1,7 @@
-/* Numbers as JSON: each in the fewest digits that read back as the same double, as Python's repr writes them.
+/* Numbers as JSON: the shortest decimal that reads back as the same double, formatted as Python's repr does.
 
-   Schubfach (Giulietti, The Schubfach way to render doubles, 2021): of all decimals that round to x one of the two or
-   four next to it on the coarsest grids is the shortest and the nearest. What has no number is null. */
+   Schubfach (Giulietti, The Schubfach way to render doubles, 2021): the shortest and nearest decimal that rounds to x is
+   one of the two or four neighbours of x on the coarsest grids. NaN and infinities become null. */
 
 #include <math.h>
 #include <stdint.h>
@@ -9,7 +9,7 @@
 
 #define LEAST_POWER (-292)
 #define POWERS 617
-#define PLACE '\1'
+#define PLACEHOLDER '\1'
 
 const long jsontext_powers[2] = {LEAST_POWER, POWERS};
 
@@ -17,7 +17,7 @@ typedef unsigned __int128 Wide;
 
 typedef struct {
   uint64_t high, low;
-} Power; /* 10^k from 2^127 on, rounded up */
+} Power; /* 10^k scaled to 128 bits (leading bit 2^127), rounded up */
 
 typedef struct {
   uint64_t digits;
@@ -61,13 +61,13 @@ static char *number(const Power *powers, double x, char *out) {
   if (!isfinite(x)) return memcpy(out, "null", 4), out + 4;
   if (bits >> 63) *out++ = '-';
   if (x == 0.0) return memcpy(out, "0.0", 3), out + 3;
-  Decimal told = shortest(powers, bits & (((uint64_t)1 << 52) - 1), (int)(bits >> 52 & 0x7ff));
-  while (told.digits % 10 == 0) told.digits /= 10, told.exponent++;
+  Decimal decimal = shortest(powers, bits & (((uint64_t)1 << 52) - 1), (int)(bits >> 52 & 0x7ff));
+  while (decimal.digits % 10 == 0) decimal.digits /= 10, decimal.exponent++;
   char text[20];
   int count = 0;
-  for (uint64_t left = told.digits; left; left /= 10) text[sizeof text - ++count] = (char)('0' + left % 10);
+  for (uint64_t left = decimal.digits; left; left /= 10) text[sizeof text - ++count] = (char)('0' + left % 10);
   const char *digits = text + sizeof text - count;
-  const int point = count + told.exponent; /* digits before the point */
+  const int point = count + decimal.exponent; /* digits before the point */
   if (point > 16 || point < -3) {
     *out++ = *digits;
     if (count > 1) *out++ = '.', memcpy(out, digits + 1, (size_t)(count - 1)), out += count - 1;
@@ -91,11 +91,12 @@ static char *number(const Power *powers, double x, char *out) {
   return memcpy(out, digits + point, (size_t)(count - point)), out + count - point;
 }
 
-/* Copy `text`, of so many bytes, the next of `numbers` in each PLACE; how long that is. 25 bytes at most for each. */
+/* Copy `length` bytes of `text` to `out`, replacing each PLACEHOLDER by the next of `numbers` (at most 25 bytes each);
+   returns the length of the output. */
 long jsontext_fill(const Power *powers, const char *text, long length, const double *numbers, char *out) {
   char *end = out;
   for (const char *stop = text + length; text < stop; text++) {
-    if (*text == PLACE)
+    if (*text == PLACEHOLDER)
       end = number(powers, *numbers++, end);
     else
       *end++ = *text;

@@ -1,4 +1,4 @@
-"""One recorder for each daemon and folder: a second one would record the same run twice."""
+"""Lock that allows one recorder per daemon and folder; a second one would record the same run twice."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 
 class RecorderLockedError(Exception):
-    """Another recorder has the lock; says which process."""
+    """Another recorder has the lock; the text names its process."""
 
 
 @contextlib.contextmanager
 def only_recorder(directory: Path, publish: str) -> Iterator[None]:
-    """While entered, this process is the only one to record what is published at `publish` into `directory`.
+    """Hold the lock for recording from the address `publish` into `directory`.
 
-    Raises RecorderLockedError. The lock ends with the process, however it ends; where none can be had, as on a file
-    system without locks, there is none.
+    Raises RecorderLockedError if another process holds it. The lock is released when the process ends, however it ends.
+    On a file system without locks nothing is locked.
     """
     name = hashlib.sha256(publish.encode()).hexdigest()[:12]
     path, made = directory / f".recorder-{name}.lock", not directory.exists()
@@ -28,10 +28,10 @@ def only_recorder(directory: Path, publish: str) -> Iterator[None]:
         fd = _locked(path)
     except BlockingIOError:
         other = ""
-        with contextlib.suppress(OSError):  # which may have ended meanwhile
+        with contextlib.suppress(OSError):  # the other process may have ended meanwhile
             other = path.read_text(errors="replace")[:20]
         raise RecorderLockedError(
-            f"process {other} already records {publish} into {directory}: end it first, or configure another folder"
+            f"process {other} already records {publish} into {directory}: stop it first, or configure another folder"
         ) from None
     except OSError:
         yield
@@ -44,14 +44,14 @@ def only_recorder(directory: Path, publish: str) -> Iterator[None]:
         with contextlib.suppress(OSError):
             path.unlink()
             if made:
-                directory.rmdir()  # unless something was recorded
+                directory.rmdir()  # fails if something was recorded
         os.close(fd)
 
 
 def _locked(path: Path) -> int:
-    """The descriptor of the locked file; raises BlockingIOError where another process has it, OSError where none can.
+    """Lock the file and return its descriptor; raises BlockingIOError if another process has it, OSError without locks.
 
-    Who ends takes the file away: a lock on one that is gone is none.
+    The previous holder removes the file when it ends; a lock on a removed file is void, so try again.
     """
     while True:
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)

@@ -1,4 +1,4 @@
-"""One line of an event log: decoded, and its fields checked one by one. Pure."""
+"""One line of an event log: decoding, and checks of its fields. Pure."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ Line = dict[str, Any]
 
 
 class BadLineError(ValueError):
-    """What is wrong with one line; who reads the file says which."""
+    """What is wrong with one line; the caller adds file and line number."""
 
 
 def decoded(raw: bytes) -> Line:
-    """The JSON object on a line; raises BadLineError, as everything here does."""
+    """The JSON object on a line; raises BadLineError, as all functions here do."""
     if len(raw) > MAX_LINE_BYTES:
-        raise BadLineError(f"the line is longer than {MAX_LINE_BYTES} bytes; an event log has one event a line")
+        raise BadLineError(f"the line is longer than {MAX_LINE_BYTES} bytes; an event log has one event per line")
     try:
         line = json.loads(raw.decode())
     except UnicodeDecodeError:
         raise BadLineError("not text (UTF-8)") from None
     except (ValueError, RecursionError) as error:
-        what = error.msg if isinstance(error, json.JSONDecodeError) else "numbers or nesting beyond reason"
+        what = error.msg if isinstance(error, json.JSONDecodeError) else "a number is too long or nesting too deep"
         raise BadLineError(f"not JSON: {what}") from None
     if not isinstance(line, dict):
         raise BadLineError(f"must be an object {{…}}, got {shown(line)}")
@@ -33,7 +33,7 @@ def decoded(raw: bytes) -> Line:
 
 
 def block(line: Line, key: str) -> Line:
-    """The object under a key that must be there."""
+    """The object under a required key."""
     value = line.get(key)
     if not isinstance(value, dict):
         raise BadLineError(f"{key} is missing" if value is None else f"{key} must be an object {{…}}")
@@ -41,7 +41,7 @@ def block(line: Line, key: str) -> Line:
 
 
 def number(line: Line, key: str) -> float:
-    """The finite number under a key that must be there."""
+    """The finite number under a required key."""
     value = line.get(key)
     if (type(value) is float or type(value) is int) and abs(value) < math.inf:
         try:
@@ -54,17 +54,17 @@ def number(line: Line, key: str) -> float:
 
 
 def optional(line: Line, key: str) -> float | None:
-    """The finite number under a key, None where it is missing or null."""
+    """The finite number under a key; None if it is missing or null."""
     return None if line.get(key) is None else number(line, key)
 
 
 def positive(line: Line, key: str, default: float | None = None) -> float:
-    """A number of more than 0, `default` where it is missing and there is one."""
+    """A number > 0; `default`, if given, replaces a missing one."""
     return _bounded(line, key, default, lambda value: value > 0.0, "more than 0")
 
 
 def not_negative(line: Line, key: str, default: float | None = None) -> float:
-    """A number from 0, `default` where it is missing and there is one."""
+    """A number ≥ 0; `default`, if given, replaces a missing one."""
     return _bounded(line, key, default, lambda value: value >= 0.0, "at least 0")
 
 
@@ -78,8 +78,8 @@ def _bounded(line: Line, key: str, default: float | None, allowed: Callable[[flo
 
 
 def shown(value: object) -> str:
-    """A value as an error message shows it."""
+    """A value as text for an error message, at most 40 characters."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
-    text = json.dumps(value) if not isinstance(value, int) or abs(value) < 10**20 else "a number beyond reason"
+    text = json.dumps(value) if not isinstance(value, int) or abs(value) < 10**20 else "a number above 1e20"
     return text if len(text) <= 40 else text[:37] + "…"

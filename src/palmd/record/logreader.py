@@ -1,4 +1,4 @@
-"""Reads an event log of any system: what a file may hold, in which order, and what of it is forgiven."""
+"""Read an event log of any system: file format, order of events, and tolerated defects."""
 
 from __future__ import annotations
 
@@ -13,69 +13,68 @@ from typing import Any, Protocol
 from palmd.record.logline import MAX_LINE_BYTES, BadLineError, Line, block, decoded, number, shown
 
 VERSION = 1
-MAX_BACKWARD_S = 1.0  # an event that comes late is one thing, another run in the same file another
+MAX_BACKWARD_S = 1.0  # larger steps back in time mean that the file holds more than one run
 MAX_GAP_S = 600.0
-GZIP = b"\x1f\x8b"  # what a file packed by gzip begins with
+GZIP = b"\x1f\x8b"  # first bytes of a gzip file
 
 
 class LogError(Exception):
-    """A log that cannot be used; its text is one line `file:line: what`."""
+    """A log that cannot be used; the text is one line `file:line: what is wrong`."""
 
 
-class LogForm(Protocol):
-    """How the lines of one system's logs are read; what it makes of them is the system's own affair.
+class LogParser(Protocol):
+    """Parser for the lines of one system's logs. Types of rig, events and log are the system's own.
 
-    kinds: a line is of a known kind when it has one of these keys.
+    kinds: a line is of a known kind if it has one of these keys.
     """
 
     @property
     def kinds(self) -> Sequence[str]: ...
 
     def rig(self, line: Line) -> Any:
-        """What line 1 says under `rig`; raises BadLineError."""
+        """Parse the object under `rig` in line 1; raises BadLineError."""
         ...
 
     def events(self, t: float, line: Line, rig: Any) -> Iterator[Any]:
-        """The events of one line, None for a reading that lies off the pad; raises BadLineError."""
+        """Yield the events of one line, None for a reading off the pad; raises BadLineError."""
         ...
 
     def log(self, rig: Any, events: tuple[Any, ...], notes: tuple[str, ...]) -> Any:
-        """The log that they make."""
+        """Build the log from rig, events and notes."""
         ...
 
 
-def read_log_as(path: Path, form_of: Callable[[str | None], LogForm]) -> tuple[LogForm, Any]:
-    """Read an event log in the form of the system that its line 1 names; raises LogError for what makes it unusable.
+def read_log_as(path: Path, parser_of: Callable[[str | None], LogParser]) -> tuple[LogParser, Any]:
+    """Read an event log with the parser of the system that its line 1 names; raises LogError if it is unusable.
 
-    form_of: the form by `rig.system`, None where a log names none; raises BadLineError. Unknown keys and lines of an
-    unknown kind are ignored, so are truth lines and readings that lie off the pad. A last line that was cut off is
-    dropped with a note. Events may come late by `MAX_BACKWARD_S`; they keep the order of the file, which may be packed
-    by gzip.
+    parser_of: returns the parser for `rig.system` (None if the log names none); raises BadLineError. Unknown keys,
+    lines of unknown kind, truth lines and readings off the pad are ignored. A truncated last line is dropped with a
+    note. Events may be late by up to `MAX_BACKWARD_S` and keep the order of the file, which may be gzip-compressed.
     """
     try:
         with path.open("rb") as stream:
             if stream.peek(len(GZIP))[: len(GZIP)] != GZIP:
-                return _Reader(path, form_of).read(stream)
+                return _Reader(path, parser_of).read(stream)
             with gzip.open(stream) as unpacked:
-                return _Reader(path, form_of).read(unpacked)
+                return _Reader(path, parser_of).read(unpacked)
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise LogError(f"{path}: packed by gzip, but cut off or damaged") from None
+        raise LogError(f"{path}: the gzip file is truncated or damaged") from None
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from None
 
 
 class _Reader:
-    def __init__(self, path: Path, form_of: Callable[[str | None], LogForm]) -> None:
+    def __init__(self, path: Path, parser_of: Callable[[str | None], LogParser]) -> None:
         self._path = path
-        self._form_of = form_of
-        self._number = 0  # of the line in hand
+        self._parser_of = parser_of
+        self._number = 0  # of the current line
         self._latest = -math.inf
         self._off_pad = self._unknown = 0
 
-    def read(self, stream: BufferedIOBase) -> tuple[LogForm, Any]:
+    def read(self, stream: BufferedIOBase) -> tuple[LogParser, Any]:
         notes: list[str] = []
         events: list[Any] = []
-        form: LogForm | None = None
+        parser: LogParser | None = None
         rig: Any = None
         for raw in iter(lambda: stream.readline(MAX_LINE_BYTES + 1), b""):
             self._number += 1
@@ -83,38 +82,38 @@ class _Reader:
                 if raw.isspace():
                     continue
                 line = decoded(raw)
-                if form is None:
+                if parser is None:
                     described = _described(line)
                     system = described.get("system")
                     if system is not None and not isinstance(system, str):
                         raise BadLineError(f"rig.system must be a name, got {shown(system)}")
-                    found = self._form_of(system)
-                    rig, form = found.rig(described), found
+                    selected = self._parser_of(system)
+                    rig, parser = selected.rig(described), selected
                 else:
-                    events += self._events(line, form, rig)
+                    events += self._events(line, parser, rig)
             except BadLineError as error:
-                if form is not None and not raw.endswith(b"\n") and len(raw) <= MAX_LINE_BYTES:
-                    notes.append(f"{self._path}:{self._number}: the last line was cut off and is left out")
+                if parser is not None and not raw.endswith(b"\n") and len(raw) <= MAX_LINE_BYTES:
+                    notes.append(f"{self._path}:{self._number}: the last line is truncated and was ignored")
                     break
                 raise LogError(f"{self._path}:{self._number}: {error}") from None
-        if form is None:
+        if parser is None:
             raise LogError(f"{self._path}:1: the file is empty; an event log begins with its palmd_log line")
         if not events:
             raise LogError(f"{self._path}:{self._number}: the log holds no events")
         for count, what in ((self._off_pad, "readings off the pad"), (self._unknown, "lines of an unknown kind")):
             if count:
-                notes.append(f"{self._path}: {count} {what} left out")
-        return form, form.log(rig, tuple(events), tuple(notes))
+                notes.append(f"{self._path}: {count} {what} ignored")
+        return parser, parser.log(rig, tuple(events), tuple(notes))
 
-    def _events(self, line: Line, form: LogForm, rig: Any) -> Iterator[Any]:
+    def _events(self, line: Line, parser: LogParser, rig: Any) -> Iterator[Any]:
         if "truth" in line:
             return
-        if not any(kind in line for kind in form.kinds):
+        if not any(kind in line for kind in parser.kinds):
             self._unknown += 1
             return
         t = number(line, "t")
         self._check_order(t)
-        for event in form.events(t, line, rig):
+        for event in parser.events(t, line, rig):
             if event is None:
                 self._off_pad += 1
             else:
@@ -123,9 +122,11 @@ class _Reader:
     def _check_order(self, t: float) -> None:
         latest = self._latest
         if t < latest - MAX_BACKWARD_S:
-            raise BadLineError(f"time runs backwards by {latest - t:g} s; is this more than one run?")
+            raise BadLineError(f"time goes back by {latest - t:g} s; a log must hold a single run")
         if t > latest + MAX_GAP_S and math.isfinite(latest):
-            raise BadLineError(f"time jumps by {t - latest:g} s; t is in seconds, and a log holds one run")
+            raise BadLineError(
+                f"time jumps by {t - latest:g} s; t must be in seconds, and a log must hold a single run"
+            )
         self._latest = max(t, latest)
 
 

@@ -1,10 +1,9 @@
-"""MCAP as palmd writes it: a file that is readable after every flush.
+"""Write MCAP files that are readable after every flush.
 
-A run is written record by record, without chunks, so that what has been flushed survives whatever happens to the
-recorder. Once it has ended, its messages are packed into compressed chunks. Both forms begin with the metadata and
-attachments, then come schemas, channels and messages in the order in which they were received. The channels are
-repeated every megabyte, outside the chunks: a damaged chunk then costs no other chunk the names of its topics.
-`palmd.record.mcapread` reads such files.
+A run is recorded record by record, without chunks, so flushed data survive a crash of the recorder. After the run its
+messages are packed into compressed chunks. Both forms begin with metadata and attachments, followed by schemas,
+channels and messages in the order of reception. The channels are repeated every megabyte outside the chunks, so that a
+damaged chunk does not remove the topic names of others. `palmd.record.mcapread` reads these files.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ PROFILE = "palmd"
 MESSAGE_ENCODING, SCHEMA_ENCODING = "msgpack", "jsonschema"
 SEQUENCE_MODULUS = 1 << 32
 
-REPEATED_BYTES = 1 << 20  # of messages, between repetitions of the channels
+REPEAT_CHANNELS_BYTES = 1 << 20  # bytes of messages between repetitions of the channel records
 
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """One message as it was published; times are Unix nanoseconds, of its arrival and of its stamp."""
+    """One message as published; log time is its arrival, publish time its stamp (Unix ns)."""
 
     topic: str
     log_time_ns: int
@@ -44,16 +43,16 @@ class RawMessage:
 
     @property
     def fields(self) -> Fields:
-        """What it says; raises RunError for a payload that is no msgpack map."""
+        """The decoded payload; raises RunError if it is not a msgpack map."""
         fields = unpacked(self.payload)
         if fields is None:
-            raise RunError(f"{self.topic}, message {self.sequence}: is no msgpack map; the recording is damaged")
+            raise RunError(f"{self.topic}, message {self.sequence}: not a msgpack map; the recording is damaged")
         return fields
 
 
 @dataclass(frozen=True, slots=True)
 class Preface:
-    """What a file says before its messages: maps of texts, and attached files, by name."""
+    """Metadata records (maps of texts) and attached files that precede the messages, by name."""
 
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Mapping[str, bytes]
@@ -69,12 +68,12 @@ _JSON_TYPES: dict[Kind, dict[str, Any]] = {
     "texts": {"type": "array", "items": {"type": "string"}},
     "sds": {"type": "object", "additionalProperties": {"type": "number"}},
 }
-BY_NAME = {topic.name: topic for topic in TOPICS}
+TOPICS_BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """The JSON schema of a topic's messages, as the table of topics has them; anything goes where it has none."""
-    topic = BY_NAME.get(name)
+    """The JSON schema of a topic's messages from the table of topics; an unconstrained object for unknown topics."""
+    topic = TOPICS_BY_NAME.get(name)
     if topic is None:
         return {"title": name, "type": "object"}
     return _table_schema(topic)
@@ -97,10 +96,10 @@ def _property(quantity: Quantity) -> dict[str, Any]:
 
 
 class RunWriter:
-    """Writes a run to a binary stream; nothing is sure to be there before the stream is flushed."""
+    """Writes a run to a binary stream; messages are stored only when the stream is flushed."""
 
     def __init__(self, stream: IO[bytes], preface: Preface, create_time_ns: int, *, compressed: bool) -> None:
-        """Writes the preface at once; `compressed` packs messages into zstd chunks. Raises OSError."""
+        """Write the preface; `compressed` packs messages into zstd chunks. Raises OSError."""
         self._writer = Writer(stream, compression=CompressionType.ZSTD, use_chunking=compressed)
         self._writer.start(PROFILE)
         self._stream, self._compressed = stream, compressed
@@ -113,40 +112,42 @@ class RunWriter:
             self._writer.add_attachment(create_time_ns, create_time_ns, name, _media_type(name), data)
 
     def write(self, message: RawMessage) -> None:
-        """Append one message; its topic's schema goes before the first one. Raises OSError."""
+        """Append one message, preceded by schema and channel for the first of its topic. Raises OSError."""
         channel = self._channels.get(message.topic)
         if channel is None:
-            channel = self._channels[message.topic] = self._begin(message.topic)
+            channel = self._channels[message.topic] = self._register(message.topic)
         self._bytes += len(message.payload)
-        if self._bytes >= REPEATED_BYTES:
+        if self._bytes >= REPEAT_CHANNELS_BYTES:
             self._bytes = 0
-            self._repeat()
+            self._repeat_channels()
         self._writer.add_message(
             channel, message.log_time_ns, message.payload, message.publish_time_ns, message.sequence % SEQUENCE_MODULUS
         )
 
     def finish(self, why: str = "") -> None:
-        """Write why it ends, where that is told, the summary and the end; the stream stays open. Raises OSError."""
-        self._repeat()
+        """Write the reason `why` (if given), the summary and the footer; the stream stays open. Raises OSError."""
+        self._repeat_channels()
         if why:
             self._writer.add_metadata(END, {"why": why})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
-    def _begin(self, topic: str) -> int:
+    def _register(self, topic: str) -> int:
         data = json.dumps(json_schema(topic), ensure_ascii=False).encode()
         schema = self._writer.register_schema(topic, SCHEMA_ENCODING, data)
-        told = {"schema": str(SCHEMA)}
-        channel = self._writer.register_channel(topic, MESSAGE_ENCODING, schema, told)
-        self._records[topic] = Channel(channel, topic, MESSAGE_ENCODING, told, schema)
-        if self._compressed:  # else the library has just written both there
-            self._beside(Schema(data=data, encoding=SCHEMA_ENCODING, id=schema, name=topic), self._records[topic])
+        metadata = {"schema": str(SCHEMA)}
+        channel = self._writer.register_channel(topic, MESSAGE_ENCODING, schema, metadata)
+        self._records[topic] = Channel(channel, topic, MESSAGE_ENCODING, metadata, schema)
+        if self._compressed:  # without chunks the library has just written both to the stream
+            self._write_outside_chunks(
+                Schema(data=data, encoding=SCHEMA_ENCODING, id=schema, name=topic), self._records[topic]
+            )
         return channel
 
-    def _repeat(self) -> None:
-        self._beside(*self._records.values())
+    def _repeat_channels(self) -> None:
+        self._write_outside_chunks(*self._records.values())
 
-    def _beside(self, *some: McapRecord) -> None:
-        """Write records outside of the chunks; the library has nothing unwritten but a chunk's contents."""
+    def _write_outside_chunks(self, *some: McapRecord) -> None:
+        """Write records directly to the stream; the library buffers nothing but the contents of a chunk."""
         builder = RecordBuilder()
         for record in some:
             record.write(builder)

@@ -1,8 +1,9 @@
-"""MCAP read back, damaged or not: what a file holds (`layout_of`), and its messages (`messages_of`).
+"""Read MCAP files, damaged or not: the contents of a file (`layout_of`) and its messages (`messages_of`).
 
-Whole chunks are verified by their checksum. A file that is still being written has messages outside of chunks, which
-have none; such a message is taken if it is a map of the fields that its topic has. After damage that broke the order of
-the records, stretches are read in the order of their times and each message once, as a block may stand there twice.
+Chunks are verified by their checksum. A file that is still being written has messages outside chunks, without
+checksums; such a message is accepted if it is a map with the fields of its topic. If damage has broken the order of the
+records, stretches are read in the order of their times and duplicate messages are dropped, as a block may be stored
+twice.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from palmd.payload import unpacked
 from palmd.quantities import CONFIG, STAMP, Kind
 from palmd.record import MAGIC, METADATA, RunError
 from palmd.record.damage import Damage, LostStretch
-from palmd.record.mcapfile import BY_NAME, SEQUENCE_MODULUS, Preface, RawMessage
+from palmd.record.mcapfile import SEQUENCE_MODULUS, TOPICS_BY_NAME, Preface, RawMessage
 from palmd.record.mcapscan import (
     MESSAGE_HEAD,
     SUMMARY,
@@ -40,7 +41,7 @@ from palmd.record.mcapscan import (
 )
 
 DAY_NS = 86_400 * 10**9
-"""No time in a file, which lasts an hour at most, is so far from the others."""
+"""A time that differs by a day or more from the others is damaged; a file lasts an hour at most."""
 
 _TYPES: dict[Kind, type | tuple[type, ...]] = {
     "number": (int, float),
@@ -51,29 +52,29 @@ _TYPES: dict[Kind, type | tuple[type, ...]] = {
     "sds": dict,
 }
 _KINDS = {
-    topic: {each.name: _TYPES[each.kind] for each in told.quantities if not each.name.endswith("*")}
-    for topic, told in BY_NAME.items()
+    name: {each.name: _TYPES[each.kind] for each in topic.quantities if not each.name.endswith("*")}
+    for name, topic in TOPICS_BY_NAME.items()
 }
 _FAMILIES = {
-    topic: tuple(each.name[:-1] for each in told.quantities if each.name.endswith("*"))
-    for topic, told in BY_NAME.items()
+    name: tuple(each.name[:-1] for each in topic.quantities if each.name.endswith("*"))
+    for name, topic in TOPICS_BY_NAME.items()
 }
 FOREIGN_ENCODINGS = frozenset(("ros1", "cdr", "protobuf", "flatbuffer", "cbor", "json"))
-"""Of messages that other programs add (the MCAP format's registry)."""
+"""Encodings (MCAP registry) of messages that other programs add."""
 _STAMPED = frozenset(each.name for each in STAMP)
-_TIMES = 1001
-FOOTER_BYTES = 1 + 8 + 20 + len(MAGIC)  # opcode, length, content of the last record, and the magic bytes that follow
+_MAX_TIMES = 1001  # arrival times kept for the median
+FOOTER_BYTES = 1 + 8 + 20 + len(MAGIC)  # opcode, length and content of the footer, and the magic bytes after it
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a file holds.
+    """The contents of a file.
 
-    spans: byte ranges that hold messages, in the order in which they are read; `broken`: they may overlap. topics: by
-    channel. finished: it has the end of a finished file. packed: its messages are in compressed chunks. ours: of this
-    version of palmd. config: the first `palm/config`,
-    empty for none. usual_ns: the median of its first messages' arrivals. begin_ns, end_ns: first and last arrival.
-    foreign: how many messages other programs have added, in another encoding, by topic; they are not read.
+    spans: byte ranges that hold messages, in reading order; `broken`: they may overlap. topics: by channel. finished:
+    the file has a footer. packed: messages are in compressed chunks. same_version: written by this version of palmd.
+    config: the first `palm/config`, empty for none. median_ns: median arrival time of the first messages. begin_ns,
+    end_ns: first and last arrival. foreign: number of messages in other encodings, added by other programs, by topic;
+    they are not read.
     """
 
     spans: tuple[tuple[int, int], ...]
@@ -82,9 +83,9 @@ class Layout:
     preface: Preface
     finished: bool
     packed: bool
-    ours: bool
+    same_version: bool
     count: int
-    usual_ns: int
+    median_ns: int
     begin_ns: int
     end_ns: int
     config: Fields
@@ -104,16 +105,16 @@ def mapped(path: Path) -> Iterator[Buffer]:
 
 
 def read_layout(path: Path) -> Layout:
-    """What a file holds; raises RunError where it holds no record of MCAP, OSError."""
+    """Read the layout of a file; raises RunError if it has no MCAP record, OSError."""
     with mapped(path) as data:
         layout = layout_of(data)
         if layout is None:
-            raise RunError(f"{path}: is no MCAP file")
+            raise RunError(f"{path}: is not an MCAP file")
         return layout
 
 
 def is_finished(path: Path) -> bool:
-    """Whether the file ends as a finished MCAP file does; raises OSError."""
+    """Whether the file ends with an MCAP footer; raises OSError."""
     with path.open("rb") as stream:
         if stream.seek(0, 2) < len(MAGIC) + FOOTER_BYTES:
             return False
@@ -123,56 +124,59 @@ def is_finished(path: Path) -> bool:
 
 
 def is_packed(path: Path) -> bool:
-    """Whether a file is finished, its messages in compressed chunks; raises RunError, OSError."""
+    """Whether a file is finished and its messages are in compressed chunks; raises RunError, OSError."""
     layout = read_layout(path)
     return layout.finished and layout.packed
 
 
 def read_messages(path: Path, layout: Layout | None = None) -> Iterator[RawMessage]:
-    """The intact messages of a file; raises RunError where it is no MCAP file, OSError."""
+    """The intact messages of a file; raises RunError if it is not an MCAP file, OSError."""
     layout = layout or read_layout(path)
     with mapped(path) as data:
         yield from messages_of(data, layout)
 
 
 def layout_of(data: Buffer) -> Layout | None:
-    """What a file holds, None where it is no MCAP file; reads all of it. Never raises."""
-    look = _Scan()
+    """Scan a whole file; None if it is not an MCAP file. Never raises."""
+    scan = _Scan()
     for item in records(data):
-        if look.ends_before(data, item.begin):
+        if scan.ends_before(data, item.begin):
             break
-        look.take(data, item)
-    if not look.spans and not look.known and data[: len(MAGIC)] != MAGIC:
+        scan.take(data, item)
+    if not scan.spans and not scan.known and data[: len(MAGIC)] != MAGIC:
         return None
-    return look.layout(data)
+    return scan.layout(data)
 
 
 def messages_of(data: Buffer, layout: Layout) -> Iterator[RawMessage]:
-    """The intact messages, each once. Never raises."""
+    """The intact messages, without duplicates. Never raises."""
     seen: set[tuple[str, int, int]] = set()
-    last_ns = layout.usual_ns
+    last_ns = layout.median_ns
     for begin, end in layout.spans:
-        for message in _messages(data, begin, end, layout.topics, ours=layout.ours):
+        for message in _messages(data, begin, end, layout.topics, same_version=layout.same_version):
             if layout.broken:
                 key = message.topic, message.sequence, message.log_time_ns
                 if key in seen:
                     continue
                 seen.add(key)
-            log_ns, publish_ns = sane_times(message, last_ns, layout.usual_ns)
+            log_ns, publish_ns = sane_times(message, last_ns, layout.median_ns)
             last_ns = log_ns
             if (log_ns, publish_ns) != (message.log_time_ns, message.publish_time_ns):
                 message = RawMessage(message.topic, log_ns, publish_ns, message.sequence, message.payload)
             yield message
 
 
-def sane_times(message: RawMessage, last_ns: int, usual_ns: int) -> tuple[int, int]:
-    """Arrival and stamp; one that lies a day or more from the file's others is that of the message before it."""
-    log_ns = message.log_time_ns if abs(message.log_time_ns - usual_ns) < DAY_NS else last_ns
+def sane_times(message: RawMessage, last_ns: int, median_ns: int) -> tuple[int, int]:
+    """Arrival and stamp. An arrival a day or more off the median is replaced by the previous message's, such a stamp by
+    the arrival."""
+    log_ns = message.log_time_ns if abs(message.log_time_ns - median_ns) < DAY_NS else last_ns
     return log_ns, message.publish_time_ns if abs(message.publish_time_ns - log_ns) < DAY_NS else log_ns
 
 
-def _messages(data: Buffer, begin: int, end: int, topics: Mapping[int, str], *, ours: bool) -> Iterator[RawMessage]:
-    """Those of one span that holds no gap."""
+def _messages(
+    data: Buffer, begin: int, end: int, topics: Mapping[int, str], *, same_version: bool
+) -> Iterator[RawMessage]:
+    """The messages of one span."""
     for item in records(data, begin, end):
         if isinstance(item, Gap):
             continue
@@ -183,7 +187,7 @@ def _messages(data: Buffer, begin: int, end: int, topics: Mapping[int, str], *, 
                     yield from _message(content, topics)
         elif item.opcode == Opcode.MESSAGE:
             for message in _message(item.content(data), topics):
-                if is_believable(message, ours=ours):
+                if is_plausible(message, same_version=same_version):
                     yield message
 
 
@@ -193,18 +197,18 @@ def _message(content: bytes, topics: Mapping[int, str]) -> Iterator[RawMessage]:
         yield RawMessage(topics[channel], log_time, publish_time, sequence, content[MESSAGE_HEAD.size :])
 
 
-def is_believable(message: RawMessage, *, ours: bool) -> bool:
-    """Whether a message that no checksum protects is a map with its own number, and has the fields of its topic.
+def is_plausible(message: RawMessage, *, same_version: bool) -> bool:
+    """Whether a message without checksum is a map with the right sequence number and the fields of its topic.
 
-    A flipped byte in a field's name makes one field unknown and another one missing, one in a value mostly another kind
-    of value. Another version of palmd may have published other fields than ours.
+    A flipped byte in a field name makes one field unknown and another one missing; one in a value usually changes its
+    type. Fields are not checked for messages of other versions of palmd (`same_version` False), which may differ.
     """
     fields = unpacked(message.payload)
     number = None if fields is None else fields.get("seq")
     if fields is None or not isinstance(number, int) or number % SEQUENCE_MODULUS != message.sequence:
         return False
     kinds = _KINDS.get(message.topic)
-    if kinds is None or not ours:
+    if kinds is None or not same_version:
         return True
     if not all(isinstance(value, kinds[name]) for name, value in fields.items() if name in kinds):
         return False
@@ -217,15 +221,15 @@ def _known(topic: str, kinds: Mapping[str, Any]) -> Callable[[str], bool]:
 
 
 class _Scan:
-    """What has been found so far, in the order of the file."""
+    """State of a scan through a file, from its beginning to its end."""
 
     def __init__(self) -> None:
-        self.known = False  # whether there is any record
+        self.known = False  # whether any record was found
         self.spans: list[tuple[int, int, int]] = []  # begin, end, first arrival
         self._open = False
         self._broken = False
         self._lost: list[LostStretch] = []
-        self._waiting = 0  # stretches at the end of `_lost` that no message has followed yet
+        self._waiting = 0  # last stretches in `_lost` that no message has followed yet
         self._names: defaultdict[int, Counter[str]] = defaultdict(Counter)
         self._metadata: dict[str, Mapping[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
@@ -234,38 +238,38 @@ class _Scan:
         self._times: list[int] = []
         self._begin_ns = self._last_ns = self._prefaced_ns = -1
         self._config: Fields = {}
-        self._configured: set[int] = set()  # channels
+        self._configured: set[int] = set()  # channels of palm/config
         self._foreign_channels: dict[int, str] = {}
         self._foreign: Counter[str] = Counter()
-        self._latest: deque[int] = deque(maxlen=_TIMES)
-        self._begun = self._after_data = self._finished = False
+        self._latest: deque[int] = deque(maxlen=_MAX_TIMES)
+        self._after_preface = self._after_data = self._finished = False
         self._plain = self._compressed = False
         self._tail: Gap | None = None
-        self._end = -1  # of the finished file
+        self._end = -1  # byte after the footer's magic bytes, -1 before it is found
         self._further_bytes = 0
 
     def ends_before(self, data: Buffer, at: int) -> bool:
-        """Whether the file has ended at `at`, and another one follows that was appended to it."""
+        """Whether the file has ended at `at` and another file was appended to it."""
         if at != self._end or data[at : at + len(MAGIC)] != MAGIC:
             return False
         self._further_bytes = len(data) - at
         return True
 
     def take(self, data: Buffer, item: FileRecord | Gap) -> None:
-        """The next stretch of the file."""
+        """Process the next record or gap."""
         if isinstance(item, Gap):
             self._gap(item.begin, item.end)
             self._tail = item if item.end == len(data) else None
             return
         self.known = True
-        self._begun |= item.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+        self._after_preface |= item.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
         content = item.content(data)
         match item.opcode:
             case Opcode.CHUNK:
                 self._chunk(item, content)
             case Opcode.MESSAGE:
                 self._plain = True
-                self._bare(item, content)
+                self._unchunked_message(item, content)
             case Opcode.CHANNEL:
                 self._channel(content)
             case Opcode.METADATA:
@@ -298,22 +302,22 @@ class _Scan:
             if opcode == Opcode.CHANNEL:
                 self._channel(each)
             elif opcode == Opcode.MESSAGE and not self._is_foreign(each):
-                self._heard(item, each)
+                self._add_message(item, each)
 
-    def _bare(self, item: FileRecord, content: bytes) -> None:
+    def _unchunked_message(self, item: FileRecord, content: bytes) -> None:
         if self._is_foreign(content):
             return
         channel = MESSAGE_HEAD.unpack_from(content)[0]
         names = self._names.get(channel)
         named = {channel: names.most_common(1)[0][0] if names else ""}
-        if not all(is_believable(each, ours=self._ours) for each in _message(content, named)):
+        if not all(is_plausible(each, same_version=self._same_version) for each in _message(content, named)):
             self._gap(item.begin, item.end)
             return
         self._after_data = False
-        self._heard(item, content)
+        self._add_message(item, content)
 
     def _is_foreign(self, content: bytes) -> bool:
-        """Whether another program has added a message, which is counted then."""
+        """Whether a message was added by another program; counts it."""
         channel = MESSAGE_HEAD.unpack_from(content)[0]
         if channel not in self._foreign_channels:
             return False
@@ -321,7 +325,7 @@ class _Scan:
         return True
 
     @property
-    def _ours(self) -> bool:
+    def _same_version(self) -> bool:
         return self._metadata.get(METADATA, {}).get("palmd") == __version__
 
     def _channel(self, content: bytes) -> None:
@@ -333,13 +337,13 @@ class _Scan:
             if channel.topic == CONFIG.name:
                 self._configured.add(channel.id)
 
-    def _heard(self, item: FileRecord, content: bytes) -> None:
-        """A message in this record."""
+    def _add_message(self, item: FileRecord, content: bytes) -> None:
+        """Register a message of this record (a chunk or the message itself)."""
         channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         if channel in self._configured and not self._config:
             self._config = unpacked(content[MESSAGE_HEAD.size :]) or {}
         self._count += 1
-        if len(self._times) < _TIMES:
+        if len(self._times) < _MAX_TIMES:
             self._times.append(log_ns)
         self._latest.append(log_ns)
         if self._begin_ns < 0:
@@ -360,7 +364,7 @@ class _Scan:
     def _gap(self, begin: int, end: int) -> None:
         self._open = False
         self._broken = True
-        if not self._begun:
+        if not self._after_preface:
             self._preface_bytes += end - begin
         elif self._after_data:
             self._index_bytes += end - begin
@@ -371,12 +375,12 @@ class _Scan:
             self._waiting += 1
 
     def layout(self, data: Buffer) -> Layout:
-        """Of all that was taken."""
+        """The layout after the whole file was processed."""
         spans = sorted(self.spans, key=lambda span: span[2]) if self._broken else self.spans
         topics = {channel: names.most_common(1)[0][0] for channel, names in self._names.items()}
-        usual_ns = median_low(self._times) if self._times else 0
-        begin_ns = next((t for t in self._times if abs(t - usual_ns) < DAY_NS), self._begin_ns)
-        end_ns = next((t for t in reversed(self._latest) if abs(t - usual_ns) < DAY_NS), self._last_ns)
+        median_ns = median_low(self._times) if self._times else 0
+        begin_ns = next((t for t in self._times if abs(t - median_ns) < DAY_NS), self._begin_ns)
+        end_ns = next((t for t in reversed(self._latest) if abs(t - median_ns) < DAY_NS), self._last_ns)
         found = Layout(
             spans=tuple((begin, end) for begin, end, _ in spans),
             broken=self._broken and len(spans) > 1,
@@ -384,19 +388,19 @@ class _Scan:
             preface=Preface(self._metadata, self._attachments),
             finished=self._finished,
             packed=self._compressed and not self._plain,
-            ours=self._ours,
+            same_version=self._same_version,
             count=self._count,
-            usual_ns=usual_ns,
+            median_ns=median_ns,
             begin_ns=begin_ns,
             end_ns=end_ns,
             config=self._config,
             foreign=dict(self._foreign),
             damage=Damage(),
         )
-        return replace(found, **self._judged(data, found))
+        return replace(found, **self._count_and_damage(data, found))
 
-    def _judged(self, data: Buffer, found: Layout) -> dict[str, Any]:
-        """How many messages there are, each counted once, and the damage."""
+    def _count_and_damage(self, data: Buffer, found: Layout) -> dict[str, Any]:
+        """The fields `count` (messages, without duplicates) and `damage` of the layout."""
         lost, torn = self._lost, 0
         once_finished = found.packed or self._after_data
         if self._tail is not None and not once_finished and lost and lost[-1].end == len(data):
@@ -418,7 +422,7 @@ class _Scan:
 
 
 def _counted(data: Buffer, layout: Layout, lost: Sequence[LostStretch]) -> tuple[int, int]:
-    """How many messages there are, and how many are missing by their numbers where stretches are lost."""
+    """Number of messages, and of messages missing (by sequence number) in lost stretches."""
     last: dict[str, tuple[int, int]] = {}
     count = missing = 0
     for message in messages_of(data, layout):
@@ -432,5 +436,5 @@ def _counted(data: Buffer, layout: Layout, lost: Sequence[LostStretch]) -> tuple
 
 
 def _between(lost: LostStretch, begin_ns: int, end_ns: int) -> bool:
-    """Whether a stretch lies between two messages."""
+    """Whether a lost stretch lies between two arrival times."""
     return lost.after_ns is not None and begin_ns <= lost.after_ns and end_ns >= (lost.before_ns or lost.after_ns)

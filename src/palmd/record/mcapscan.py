@@ -1,9 +1,8 @@
-"""The records of an MCAP file that may be damaged. Pure functions of the file's bytes.
+"""Find the records of an MCAP file that may be damaged. Pure functions of the file's bytes.
 
-A record is accepted if its fields fill it exactly and the next record begins where it ends. Where that fails, its
-contents decide: a checksum, or lengths inside that fit. After a damaged stretch the next record is searched for by the
-form of its head (opcode and length), and accepted by its contents alone. A chunk of which only the head is damaged is
-read all the same.
+A record is accepted if its fields fill it exactly and the next record begins where it ends. If the next one does not,
+its contents decide: a checksum, or consistent inner lengths. After a damaged stretch the next record is searched by its
+head (opcode and length) and accepted by its contents. A chunk with a damaged head but intact contents is still read.
 """
 
 from __future__ import annotations
@@ -36,21 +35,21 @@ from mcap.stream_reader import get_chunk_data_stream
 from palmd.payload import unpacked
 from palmd.record import MAGIC
 
-RECORD_BYTES_MAX = 1 << 28  # a longer record is no record
+RECORD_BYTES_MAX = 1 << 28  # a larger length is taken as damage
 HEAD = struct.Struct("<BQ")
-"""Of a record: opcode, length."""
+"""Head of a record: opcode, length."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Of a message: channel, sequence, log time, publish time."""
+"""Head of a message: channel, sequence, log time, publish time."""
 SUMMARY = frozenset(
     (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET)
 )
-"""The records that stand in the summary alone."""
+"""Records that occur in the summary section only."""
 
 _CHUNK_HEAD, _CHUNK_TIMES = struct.Struct("<QQQI"), 16
 _LENGTH, _LONG_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 _FIXED = {Opcode.DATA_END: 4, Opcode.FOOTER: 20, Opcode.SUMMARY_OFFSET: 17}
-_VOUCHED = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.FOOTER)
-"""What is found after damage by its contents alone; of others the next record has to follow."""
+_SELF_CHECKED = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.FOOTER)
+"""Records accepted after damage by their contents alone; others need a following record."""
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
 
 Buffer = bytes | mmap
@@ -75,23 +74,23 @@ class FileRecord(NamedTuple):
     end: int
 
     def content(self, data: Buffer) -> bytes:
-        """What follows its head."""
+        """The bytes after the head."""
         return data[self.begin + HEAD.size : self.end]
 
 
 class Gap(NamedTuple):
-    """Bytes from `begin` to `end` that hold no whole record."""
+    """Bytes from `begin` to `end` without a complete record."""
 
     begin: int
     end: int
 
 
 def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[FileRecord | Gap]:
-    """All records of a file, or of a stretch of it, and the gaps between them; never raises.
+    """All records of a file, or of a byte range of it, and the gaps between them; never raises.
 
-    What follows a footer is read as well: a damaged file may hold one in its middle.
+    Bytes after a footer are read as well: a damaged file may have a footer in its middle.
     """
-    size = len(data) if end is None else min(end, len(data))  # a file that is packed since is shorter
+    size = len(data) if end is None else min(end, len(data))  # the file may have been packed (shortened) meanwhile
     at = begin
     if at == 0:
         at = len(MAGIC)
@@ -118,7 +117,7 @@ def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[Fi
 
 
 def framed(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of the records in a chunk whose checksum is right."""
+    """Opcode and content of the records in a chunk with a valid checksum."""
     at = 0
     while at + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, at)
@@ -127,29 +126,29 @@ def framed(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def unpacked_chunk(content: bytes) -> bytes | None:
-    """The records in a chunk, None where its checksum or its form is wrong."""
+    """The decompressed records of a chunk; None if its checksum or format is wrong."""
     try:
         chunk = Chunk.read(_stream(content))
         if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) > RECORD_BYTES_MAX:
             return None
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         return stream.read(length)
-    except Exception:  # each compression has its own kinds
+    except Exception:  # each compression raises its own errors
         return None
 
 
 def parsed(kind: type[Part], content: bytes) -> Part | None:
-    """The record in `content`; None where it is damaged, or something is left over."""
+    """The record in `content`; None if it is damaged or shorter than `content`."""
     stream = _stream(content)
     try:
         record: Part = kind.read(stream)
-    except Exception:  # bytes that run out, text that is no text, lengths beyond all reason
+    except Exception:  # missing bytes, invalid text, absurd lengths
         return None
     return record if stream.count == len(content) else None
 
 
 def _record_at(data: Buffer, at: int, size: int) -> FileRecord | None:
-    """The record whose head stands at `at`; None where no record has such a head."""
+    """The record with its head at `at`; None if that is not a valid head."""
     if at + HEAD.size > size:
         return None
     opcode, length = HEAD.unpack_from(data, at)
@@ -163,11 +162,11 @@ def _accepted(data: Buffer, record: FileRecord, size: int) -> bool:
     if not _fits(data, record):
         return False
     followed = record.end == size or _record_at(data, record.end, size) is not None
-    return followed or record.opcode == Opcode.FOOTER or _sound(data, record)
+    return followed or record.opcode == Opcode.FOOTER or _contents_intact(data, record)
 
 
 def _headless_chunk(data: Buffer, at: int, size: int) -> FileRecord | None:
-    """The chunk at `at` whose head is damaged: its own lengths say where it ends, its checksum that it is one."""
+    """A chunk at `at` with a damaged head: found by its inner lengths and verified by its checksum."""
     begin = at + HEAD.size
     length = _chunk_length(data, begin, size)
     if length is None or length > RECORD_BYTES_MAX or begin + length > size:
@@ -177,18 +176,18 @@ def _headless_chunk(data: Buffer, at: int, size: int) -> FileRecord | None:
 
 
 def _next(data: Buffer, at: int, size: int) -> int:
-    """Where, from `at` on, the next record begins whose contents are sound; the end where there is none."""
+    """Start of the next record with intact contents from `at` on; `size` if there is none."""
     for found in _CANDIDATE.finditer(data, at, size):
         record = _record_at(data, found.start(), size)
-        if record is not None and _fits(data, record) and _sound(data, record):
+        if record is not None and _fits(data, record) and _contents_intact(data, record):
             followed = record.end == size or _record_at(data, record.end, size) is not None
-            if followed or record.opcode in _VOUCHED:
+            if followed or record.opcode in _SELF_CHECKED:
                 return record.begin
     return size
 
 
 def _fits(data: Buffer, record: FileRecord) -> bool:
-    """Whether the lengths in a record make up its own length; cheap."""
+    """Whether the inner lengths of a record add up to its length; cheap."""
     opcode, at, length = record.opcode, record.begin + HEAD.size, record.end - record.begin - HEAD.size
     if opcode == Opcode.MESSAGE:
         return length >= MESSAGE_HEAD.size
@@ -204,7 +203,7 @@ def _fits(data: Buffer, record: FileRecord) -> bool:
 
 
 def _chunk_length(data: Buffer, at: int, end: int) -> int | None:
-    """How long a chunk's contents are by the lengths in it."""
+    """Length of a chunk's contents according to its inner lengths; None if they exceed `end`."""
     named = at + _CHUNK_HEAD.size
     if named + _LENGTH.size > end:
         return None
@@ -214,8 +213,8 @@ def _chunk_length(data: Buffer, at: int, end: int) -> int | None:
     return int(held + _LONG_LENGTH.size + _LONG_LENGTH.unpack_from(data, held)[0] - at)
 
 
-def _sound(data: Buffer, record: FileRecord) -> bool:
-    """Whether the contents of a record that fits vouch for it without what follows; expensive."""
+def _contents_intact(data: Buffer, record: FileRecord) -> bool:
+    """Whether the contents of a record that fits are valid by themselves (checksum, decoding); expensive."""
     content = record.content(data)
     if record.opcode == Opcode.CHUNK:
         return unpacked_chunk(content) is not None
@@ -227,7 +226,7 @@ def _sound(data: Buffer, record: FileRecord) -> bool:
 
 
 def attachment(content: bytes) -> Attachment | None:
-    """The attached file in a record, None where its checksum is wrong."""
+    """The attached file in a record; None if its checksum is wrong."""
     found = parsed(Attachment, content)
     crc = _LENGTH.unpack(content[-4:])[0] if found is not None else 0
     return found if found is not None and crc in (0, zlib.crc32(content[:-4])) else None

@@ -1,4 +1,4 @@
-"""What every recording begins with: the configuration, the versions, and what an observer was told beforehand."""
+"""Preface of a recording: versions, configuration, rig description and stored outlines."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 
 
 def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float = 0.0) -> Preface:
-    """For a run that began at `started` (ISO 8601) and goes on from the one named `continues`, empty for none.
+    """The preface of a run that began at `started` (ISO 8601) and continues the recording `continues` (empty: none).
 
-    `gap_s` is the time between the two of which nothing is recorded. Stored outlines are read from where the
-    configuration says; raises OSError.
+    `gap_s` is the unrecorded time between the two. Stored outlines are read from the configured path; raises OSError.
     """
     metadata = {
         "schema": str(SCHEMA),
@@ -51,16 +50,16 @@ def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float =
 
 
 def preface_of(layout: Layout) -> Preface:
-    """What a file says before its messages; what of it is missing is told by `palm/config`, where that was recorded.
+    """The preface of a recorded file; missing parts are restored from the recorded `palm/config`, if there is one.
 
-    The rig's description follows from the configuration.
+    A missing rig description is derived from the configuration.
     """
-    preface, told = layout.preface, layout.config
+    preface, recorded = layout.preface, layout.config
     attachments, metadata = dict(preface.attachments), dict(preface.metadata)
-    if told:
-        attachments.setdefault(CONFIG, str(told.get("yaml")).encode())
-        said = {"schema": str(told.get("v")), "config_hash": str(told.get("config_hash"))}
-        metadata.setdefault(METADATA, said)
+    if recorded:
+        attachments.setdefault(CONFIG, str(recorded.get("yaml")).encode())
+        restored = {"schema": str(recorded.get("v")), "config_hash": str(recorded.get("config_hash"))}
+        metadata.setdefault(METADATA, restored)
     if RIG not in attachments and CONFIG in attachments:
         with contextlib.suppress(ConfigError, yaml.YAMLError, UnicodeDecodeError):
             config = recorded_config(yaml.safe_load(attachments[CONFIG]))

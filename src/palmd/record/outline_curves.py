@@ -1,4 +1,4 @@
-"""An outline as curves in millimetres, for CAD: itself, its band, what of it was not touched. Pure."""
+"""An outline as curves in millimetres for CAD: the outline, its uncertainty band, its untouched arcs. Pure."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ from palmd.polygon import boundary, normals, resampled, turned
 Bools = npt.NDArray[np.bool_]
 
 SDS = 2.0
-"""How many one-sigmas the band has to both sides."""
-_NORMALS = 720  # a chord is then off a side of 200 mm radius by 2 µm
+"""Half-width of the band in standard deviations."""
+_NORMALS = 720  # chords then deviate by 2 µm from an arc of 200 mm radius
 
 
 @dataclass(frozen=True, slots=True)
 class OutlineCurves:
     """Points (n, 2) in mm of three closed curves, counter-clockwise, the first point not repeated.
 
-    They are in the object's own frame: its centre of mass, or else `origin`, is the origin, its turn about it is
-    arbitrary. outer, inner:
-    `SDS` one-sigmas to either side along each point's normal. normal (n,): that normal's direction (rad). sd (n,):
-    one-sigma in mm. touched (n,). chords: both ends (2, 2) of each straight part, in mm. rho_mm, mass_kg: NaN where not
-    told.
+    Frame of the object: the origin is described by `origin`, the orientation is arbitrary. outer, inner: `SDS` standard
+    deviations to either side along each point's normal. normal (n,): direction of that normal (rad). sd (n,): standard
+    deviation in mm. touched (n,). chords: both ends (2, 2) of each straight part, in mm. rho_mm, mass_kg: NaN if
+    unknown.
     """
 
     name: str
@@ -45,7 +44,7 @@ class OutlineCurves:
 
     @property
     def untouched(self) -> tuple[FloatArray, ...]:
-        """The arcs (k, 2) in mm that no palm has touched, with the touched points that they end at."""
+        """The untouched arcs (k, 2) in mm, including the touched points at their ends."""
         n = len(self.touched)
         if not self.touched.any():
             return (np.concatenate([self.outline, self.outline[:1]]),)
@@ -58,18 +57,18 @@ class OutlineCurves:
         return tuple(arcs)
 
     @property
-    def said(self) -> tuple[str, ...]:
-        """What a reader of the file must know."""
+    def comments(self) -> tuple[str, ...]:
+        """Lines that explain the curves to a reader of the file."""
         return (
             f"palmd: {self.name}",
-            f"units: mm; origin: {self.origin}; its turn about it is arbitrary",
-            f"band: {SDS:g} one-sigmas to either side, along the normal",
-            f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
+            f"units: mm; origin: {self.origin}; orientation: arbitrary",
+            f"band: ± {SDS:g} standard deviations along the normal",
+            f"touched: {np.mean(self.touched):.1%} of the normals; the rest follows from the smoothness prior only",
             *(f"straight over {math.dist(*chord):.2f} mm of the hull: {STRAIGHT_LABEL}" for chord in self.chords),
         )
 
 
-def drawing_of(
+def curves_factory(
     theta: FloatArray,
     h: FloatArray | None,
     h_sd: FloatArray | None,
@@ -78,7 +77,7 @@ def drawing_of(
     rho_m: float = math.nan,
     mass_kg: float = math.nan,
 ) -> Callable[[str], OutlineCurves] | None:
-    """`curves_of` but for the name; None where there is no outline."""
+    """`curves_of` with only the name left to give; None if there is no outline."""
     if h is None or h_sd is None or touched is None:
         return None
     return lambda name: curves_of(name, theta, h, h_sd, touched, rho_m=rho_m, mass_kg=mass_kg)
@@ -95,7 +94,7 @@ def curves_of(
     mass_kg: float = math.nan,
     origin: str = "the object's centre of mass",
 ) -> OutlineCurves:
-    """The curves of a support function h (m) on normals theta (rad), evenly spaced round the full circle.
+    """The curves of a support function h (m) on normals theta (rad), evenly spaced over the full circle.
 
     h_sd (m), touched: on the same normals.
     """

@@ -1,4 +1,4 @@
-"""An outline as a DXF drawing in millimetres, a layer for each curve. The only module that needs ezdxf."""
+"""An outline as a DXF drawing in millimetres, one layer per kind of curve. The only module that needs ezdxf."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _TEXT_MM = 1.5
 
 
 def as_dxf(curves: OutlineCurves) -> bytes:
-    """DXF R2010: closed polylines on OUTLINE and BAND (outer, then inner), arcs not touched, the centre, the words."""
-    logging.getLogger("ezdxf").setLevel(logging.WARNING)  # tells of every table that it makes
+    """DXF R2010: closed polylines on OUTLINE and BAND (outer, inner), untouched arcs, the centre of mass, comments."""
+    logging.getLogger("ezdxf").setLevel(logging.WARNING)  # it logs every table that it creates
     drawing = new("R2010", setup=["linetypes"], units=units.MM)
     drawing.header["$MEASUREMENT"] = 1  # metric
     for name, colour in _COLOURS.items():
@@ -29,9 +29,9 @@ def as_dxf(curves: OutlineCurves) -> bytes:
         space.add_lwpolyline(arc.tolist(), dxfattribs={"layer": UNTOUCHED})
     space.add_point((0.0, 0.0), dxfattribs={"layer": CENTRE})
     left, below = float(curves.outer[:, 0].min()), float(curves.outer[:, 1].min()) - 2 * _TEXT_MM
-    for number, line in enumerate(curves.said):
-        place = (left, below - 1.5 * _TEXT_MM * number)
-        space.add_text(line, height=_TEXT_MM, dxfattribs={"layer": TEXT}).set_placement(place)
+    for number, line in enumerate(curves.comments):
+        position = (left, below - 1.5 * _TEXT_MM * number)
+        space.add_text(line, height=_TEXT_MM, dxfattribs={"layer": TEXT}).set_placement(position)
     stream = io.StringIO()
     drawing.write(stream)
     return drawing.encode(stream.getvalue())

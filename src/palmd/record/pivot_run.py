@@ -23,21 +23,21 @@ class PivotRun(AnyRun):
     """A recording of a pivoting grasp."""
 
     system: ClassVar[str] = SYSTEM
-    described: ClassVar[type] = PivotRig
-    says: ClassVar[MessageCodec] = pivot_messages
+    rig_type: ClassVar[type] = PivotRig
+    codec: ClassVar[MessageCodec] = pivot_messages
 
     config: PivotConfig
     rig: PivotRig
 
-    band: ClassVar[str] = "hP_sd_m"
+    sd_field: ClassVar[str] = "hP_sd_m"
 
-    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
-        """About the pivot."""
+    def outline_curves(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """The outline about the pivot as curves for CAD."""
         names = ("theta_rad", "hP_m", "hP_sd_m", "touched")
         theta, h, h_sd, touched = (np.array(shape[name]) for name in names)
-        name = f"{self.path.stem}, object {estimate['object']}, as it was known at the end"
+        name = f"{self.path.stem}, object {estimate['object']}, last valid estimate"
         return curves_of(name, theta, h, h_sd, touched > 0, origin="the pivot")
 
     def observer(self) -> PivotObserver:
-        """There is one."""
-        return pivot_observer(self.rig, RecordedAnswers(self._answers(PIVOT_ANSWER, pivot_messages.answer_of)))
+        """The live observer of a pivoting grasp."""
+        return pivot_observer(self.rig, RecordedAnswers(self._smoother_answers(PIVOT_ANSWER, pivot_messages.answer_of)))

@@ -1,8 +1,8 @@
-"""A recorded run on ZeroMQ again: the same topics, the same bytes, at the recorded pace or a multiple of it.
+"""Republish a recorded run on ZeroMQ: the same topics and bytes, at the recorded rate or a multiple of it.
 
-Nothing in a message is changed, so `timestamp`, `mono_ns`, `seq` and the third frame tell when the run was, not when
-it is replayed: what a subscriber draws or stores from it lies where it belongs, beside other records of that day.
-One topic more, `replay/run`, says that it is a replay.
+Messages are not changed: `timestamp`, `mono_ns`, `seq` and the third frame are those of the recorded run, not of the
+replay, so data that a subscriber stores align with other records of that day. The additional topic `replay/run` marks
+the messages as a replay.
 """
 
 from __future__ import annotations
@@ -21,58 +21,58 @@ from palmd.record.mcapfile import RawMessage
 from palmd.record.recording import SILENT_S
 
 SETTLE_S = 0.5
-"""Before the first message: who has been waiting for a publisher knocks again several times a second."""
+"""Wait before the first message; waiting subscribers retry to connect several times a second."""
 
-HIGH_WATER = 10_000  # messages kept for a subscriber that does not take them, as the daemon keeps them
-_LAST_WORDS_MS = 1000
-_LOOK_S = 0.05
+HIGH_WATER_MARK = 10_000  # messages queued per slow subscriber, as in the daemon
+_LINGER_MS = 1000
+_POLL_S = 0.05
 
 
 class RepublishError(Exception):
-    """An address that cannot be had; says why, and what to do."""
+    """The publishing address cannot be bound; the text says why and what to do."""
 
 
 class RecordedPublisher:
-    """A publisher of recorded messages; who does not listen in time loses some."""
+    """A publisher of recorded messages; late or slow subscribers lose some."""
 
     def __init__(self, address: str, frames: int = 3) -> None:
-        """To a ZeroMQ address, so many `frames` a message; raises RepublishError when it cannot be had."""
+        """Bind a ZeroMQ address and send `frames` frames per message; raises RepublishError."""
         self._frames = frames
         self._t_announce, self._seq = -math.inf, -1
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PUB)
-        self._socket.setsockopt(zmq.LINGER, _LAST_WORDS_MS)
-        self._socket.setsockopt(zmq.SNDHWM, HIGH_WATER)
+        self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
+        self._socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
         try:
             self._socket.bind(address)
         except zmq.ZMQError as error:
             self.close()
             if error.errno == zmq.EADDRINUSE:
                 raise RepublishError(
-                    f"{address} is in use, perhaps by a running palmd: end it, or --publish to another address"
+                    f"{address} is in use, perhaps by a running palmd: stop it, or --publish to another address"
                 ) from None
             raise RepublishError(f"{address} cannot be bound: {error.strerror}") from None
 
     def send(self, message: RawMessage) -> None:
-        """Send one message as it was sent; raises RunError when it is damaged."""
+        """Send one message unchanged; raises RunError if it is damaged."""
         self._socket.send_multipart(frames(message)[: self._frames])
 
     def announce(self, path: Path, speed: float) -> None:
-        """Say that what is published is a recorded run, once a second at most."""
+        """Publish `replay/run`, once a second at most."""
         now = time.monotonic()
         if now >= self._t_announce:
             self._t_announce = now + 1.0 / REPLAY.rate_hz
             self._seq += 1
-            said = stamp({"path": path.name, "speed": speed}, time.time(), now, self._seq)
-            self._socket.send_multipart((REPLAY.frame, msgpack.packb(said), b"%.6f" % time.time())[: self._frames])
+            fields = stamp({"path": path.name, "speed": speed}, time.time(), now, self._seq)
+            self._socket.send_multipart((REPLAY.frame, msgpack.packb(fields), b"%.6f" % time.time())[: self._frames])
 
     def close(self) -> None:
-        """Let go of the address once the last messages have left, or have had a second to."""
+        """Release the address after the last messages are sent, or after one second."""
         self._context.destroy()
 
 
 def frames(message: RawMessage) -> tuple[bytes, bytes, bytes]:
-    """Topic, payload and ASCII Unix seconds, byte for byte as they were published; raises RunError when damaged."""
+    """Topic, payload and ASCII Unix seconds, byte for byte as published; raises RunError if damaged."""
     timestamp = message.fields.get("timestamp")
     if not isinstance(timestamp, float):
         timestamp = message.publish_time_ns * 1e-9
@@ -80,10 +80,10 @@ def frames(message: RawMessage) -> tuple[bytes, bytes, bytes]:
 
 
 def offsets(messages: Iterable[RawMessage], speed: float) -> Iterator[tuple[float, RawMessage]]:
-    """When (s from the first one) each message is due: at the pace of their arrival, times `speed`.
+    """Due time (s from the first) of each message: intervals of arrival divided by `speed`.
 
-    Arrivals were told by a clock that may have been set meanwhile. Steps back therefore count as nothing, and longer
-    steps ahead than a recording lasts through as that long.
+    The clock of the arrivals may have been set during the run. Backward steps therefore count as 0, and forward steps
+    are limited to `SILENT_S`, the longest gap within a recording.
     """
     due = 0.0
     before: int | None = None
@@ -101,7 +101,7 @@ def play(
     stopped: Callable[[], bool],
     at: Callable[[int], None],
 ) -> None:
-    """Send each message when it is due, until `stopped`; `at` is told the number that have been sent."""
+    """Send each message when it is due, until `stopped`; `at` is called with the number of messages sent."""
     start = time.monotonic()
     for number, (due, message) in enumerate(offsets(messages, speed), 1):
         pause(start + due, stopped)
@@ -114,4 +114,4 @@ def play(
 def pause(until: float, stopped: Callable[[], bool]) -> None:
     """Sleep until a time of the monotonic clock (s), or until `stopped`."""
     while (rest := until - time.monotonic()) > 0.0 and not stopped():
-        time.sleep(min(rest, _LOOK_S))
+        time.sleep(min(rest, _POLL_S))

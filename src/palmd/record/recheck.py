@@ -1,7 +1,7 @@
-"""Whether the observer says again what it said: a run's events through the same observer, compared bit for bit.
+"""Reproducibility check: feed a run's events to the same observer again and compare the estimates bit for bit.
 
-An observer is a function of the events, the ticks' times and the smoother's answers, all of which a run holds. On the
-same machine with the same versions nothing may differ, not even the last bit.
+An observer is a function of the events, the tick times and the smoother's answers, and a run holds all of them. On the
+same machine with the same versions the estimates are identical to the last bit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from palmd.record.tables import flat
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A field of a tick's estimate that is another now; `sigmas` is by how much, in its recorded one-sigma."""
+    """A field of a tick's estimate that differs; `sigmas` is the difference in recorded standard deviations."""
 
     number: int
     name: str
@@ -34,23 +34,23 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
-    """What one tick has come to: its differences, none when every bit agrees."""
+class CheckedTick:
+    """The result for one tick: its differing fields, empty if every bit agrees."""
 
     number: int
     differences: tuple[Difference, ...]
 
 
 class Recheck:
-    """The observer that a run was made with, given the same again: a new one for each start of the daemon."""
+    """Feeds a run to the observer it was made with, a new one for each start of the daemon."""
 
     def __init__(self, run: AnyRun) -> None:
-        """Raises RunError for a run without events or estimates; takes seconds when C has to be compiled."""
+        """Raises RunError for a run without events or estimates; takes seconds if C must be compiled."""
         run.require(run.topics.events, run.topics.estimate)
         self._run, self._observer = run, run.observer()
 
-    def ticks(self) -> Iterator[Checked]:
-        """Every recorded tick from a first one up to a missing one; raises RunError when no first one is there."""
+    def ticks(self) -> Iterator[CheckedTick]:
+        """Check every tick from number 0 to the first missing one; raises RunError if there is no tick 0."""
         estimates = (message.fields for message in self._run.messages(self._run.topics.estimate.name))
         recorded = next(estimates, None)
         expected: int | None = None
@@ -69,18 +69,18 @@ class Recheck:
                 for event in tick.events:
                     self._observer.feed(event)
                 self._observer.improve(tick.t)
-                said = self._observer.estimate(tick.t)
-            now = self._run.said(said)
+                estimate = self._observer.estimate(tick.t)
+            now = self._run.estimate_fields(estimate)
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)
             if recorded is not None and recorded["mono_ns"] == t_ns:
-                yield Checked(tick.number, tuple(differences(tick.number, recorded, now)))
+                yield CheckedTick(tick.number, tuple(differences(tick.number, recorded, now)))
         if not started:
-            raise RunError(f"{self._run.path}: begins with tick {begins}; what the observer knew by then is not in it")
+            raise RunError(f"{self._run.path}: begins with tick {begins}; the observer's state before is not recorded")
 
-    def elsewhere(self) -> list[str]:
-        """In what the run's making, as far as that is known, differs from here, so that last bits may differ too."""
+    def environment_differences(self) -> list[str]:
+        """Differences in versions, machine and backend between the recording and now; they may change the last bits."""
         here = {
             "palmd": __version__,
             "python": platform.python_version(),
@@ -88,25 +88,25 @@ class Recheck:
             "casadi": version("casadi"),
             "machine": platform.machine(),
         }
-        told = dict(self._run.metadata)
+        recorded = dict(self._run.metadata)
         loop = next(iter(self._run.messages(LOOP.name)), None)
         if loop is not None:
-            told["backend"], here["backend"] = str(loop.fields.get("backend")), self._observer.backend
-        return [f"{name} {told[name]}, here {now}" for name, now in here.items() if told.get(name, now) != now]
+            recorded["backend"], here["backend"] = str(loop.fields.get("backend")), self._observer.backend
+        return [f"{name} {recorded[name]}, here {now}" for name, now in here.items() if recorded.get(name, now) != now]
 
 
 def differences(number: int, recorded: Fields, now: Fields) -> Iterator[Difference]:
-    """The fields of a tick's `palm/estimate` in which `now` is another than `recorded`, to the last bit.
+    """The fields of a tick's `palm/estimate` in which `now` differs from `recorded` in any bit.
 
-    The daemon may withhold an estimate that the observer calls valid, as while the pads are swapped: a `valid` that
-    it has lowered is no difference.
+    The daemon may invalidate an estimate that the observer calls valid, for example while the pads are swapped; such a
+    recorded `valid` of False is not a difference.
     """
-    told = dict(flat(recorded))
+    before_by_name = dict(flat(recorded))
     for name, value in flat(now):
-        before = told.get(name)
+        before = before_by_name.get(name)
         withheld = name == "valid" and before is False
         if not withheld and msgpack.packb(before) != msgpack.packb(value):
-            yield Difference(number, name, before, value, _sigmas(told.get(f"sd.{name}"), before, value))
+            yield Difference(number, name, before, value, _sigmas(before_by_name.get(f"sd.{name}"), before, value))
 
 
 def _sigmas(sd: object, before: object, value: object) -> float:

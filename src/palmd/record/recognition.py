@@ -1,4 +1,4 @@
-"""A run through an observer that knows outlines: which object it was in the end, and since when that was said. Pure."""
+"""Recognition of stored outlines in a run: the final decision and the time since when it held. Pure."""
 
 from __future__ import annotations
 
@@ -16,55 +16,56 @@ NONE_OF_THESE = "none of these"
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
-    """What was said at the end of a run.
+    """Recognition at the end of a run.
 
-    names, probability: of each stored outline; none: of none of them. said: the name that has at least `DECIDED`,
-    or `NONE_OF_THESE`, empty when nothing has. decided: when that had been said for good (s), NaN when it was not.
+    names, probability: of each stored outline; none: probability of none of them. decision: the name with a probability
+    of at least `DECIDED`, or `NONE_OF_THESE`, or empty. decided_at: time (s) since when the decision has held without
+    interruption, NaN without a decision.
     """
 
     names: tuple[str, ...]
     probability: FloatArray
     none: float
-    said: str
-    decided: float
+    decision: str
+    decided_at: float
 
 
 def verdict(estimates: Iterable[ObjectEstimate]) -> Recognition | None:
-    """The verdict of a run's estimates, in their order; None when there is none."""
-    told = list(estimates)
-    if not told:
+    """The recognition from a run's estimates in time order; None if there are none."""
+    history = list(estimates)
+    if not history:
         return None
-    last = told[-1]
-    said, decided = _said(last), math.nan
-    if said:
-        for estimate in reversed(told):
-            if _said(estimate) != said:
+    last = history[-1]
+    decision, decided_at = _decision(last), math.nan
+    if decision:
+        for estimate in reversed(history):
+            if _decision(estimate) != decision:
                 break
-            decided = estimate.t
-    return Recognition(last.names, last.probability, last.none, said, decided)
+            decided_at = estimate.t
+    return Recognition(last.names, last.probability, last.none, decision, decided_at)
 
 
-def _said(estimate: ObjectEstimate) -> str:
+def _decision(estimate: ObjectEstimate) -> str:
     return NONE_OF_THESE if estimate.none >= DECIDED else estimate.best
 
 
 def as_line(verdict: Recognition) -> dict[str, Any]:
-    """The verdict as a JSON object; `best` is empty for none of them, and `decided_s` None when nothing was decided."""
+    """The verdict as a JSON object; `best` is empty for none of them, `decided_s` None without a decision."""
     return {
         "names": list(verdict.names),
         "probability": verdict.probability.tolist(),
         "none": verdict.none,
-        "best": "" if verdict.said == NONE_OF_THESE else verdict.said,
-        "decided_s": None if math.isnan(verdict.decided) else verdict.decided,
+        "best": "" if verdict.decision == NONE_OF_THESE else verdict.decision,
+        "decided_s": None if math.isnan(verdict.decided_at) else verdict.decided_at,
     }
 
 
 def table(verdict: Recognition) -> str:
-    """Names and probabilities, the likeliest first, and a line about the decision."""
+    """A text table of names and probabilities, most probable first, and a line with the decision."""
     order = np.argsort(-verdict.probability, kind="stable")
     rows = [(verdict.names[i], float(verdict.probability[i])) for i in order]
     rows.append((NONE_OF_THESE, verdict.none))
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:{width}}  {probability:.3f}" for name, probability in rows]
-    lines.append(f"{verdict.said}, since {verdict.decided:.2f} s" if verdict.said else "undecided")
+    lines.append(f"{verdict.decision}, since {verdict.decided_at:.2f} s" if verdict.decision else "undecided")
     return "\n".join(lines)

@@ -1,7 +1,8 @@
-"""The recorder's process: listens to the daemon and to the emulated rig's truth, and tells the daemon how it fares.
+"""The recorder process: records the daemon's messages and an emulated rig's truth, and reports to the daemon.
 
-One thread receives and hands over to the operating system, tick by tick, so that the process may be killed at any time;
-another one brings that to the disk twenty times a second, or as often as the disk lets it, so that the power may go.
+One thread receives messages and writes them to the operating system tick by tick, so the process may be killed at any
+time. Another thread syncs the file to disk twenty times a second, or as often as the disk permits, to survive a power
+loss.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from palmd.bus.subscriber import Subscriber
 from palmd.config.addresses import from_here
 from palmd.config.any_config import AnyConfig
 from palmd.keys import Credentials
-from palmd.record import ASKED, STARTER_GONE
-from palmd.record.recording import Ended, Recording
+from palmd.record import PARENT_GONE, REQUESTED
+from palmd.record.recording import ClosedFile, Recording
 
-LOOK_S = 0.05  # between looks at the clock when nothing comes
-BATCH = 1000  # messages that are taken before they are handed over
-SYNC_S = 0.05  # and between times that this is brought to the disk
-TELL_S = 1.0
-LAST_WORDS_S = 0.15  # that a daemon's last messages may take
+POLL_S = 0.05  # longest wait for messages before the clock is checked
+BATCH_MESSAGES = 1000  # most messages received before they are written
+SYNC_S = 0.05  # period of syncs to disk
+STATUS_PERIOD_S = 1.0  # period of status reports to the daemon
+DRAIN_S = 0.15  # wait for the daemon's last messages when stopped
 
 
 def record(
@@ -33,27 +34,27 @@ def record(
     truth: Sequence[str],
     ready: Callable[[], None],
     stopped: Callable[[], bool],
-    ended: Callable[[Ended], None],
+    ended: Callable[[ClosedFile], None],
     key: Credentials | None = None,
 ) -> None:
-    """Record until `stopped`; `truth` holds addresses beside the daemon's, `key` is for a daemon that has keys.
+    """Record until `stopped`. `truth`: further addresses to subscribe to; `key`: for a daemon that requires keys.
 
-    `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises CliError for what
-    is no address.
+    `ready` is called when the sockets are open, whether or not a daemon runs; `ended` is called with each closed file.
+    Raises CliError for an invalid address.
     """
-    recording, starter = Recording(config, ended), os.getppid()
+    recording, parent = Recording(config, ended), os.getppid()
     with contextlib.ExitStack() as stack:
         publish, command = from_here(config.bus.publish), from_here(config.bus.command)
         subscriber = stack.enter_context(Subscriber(publish, topics=("",), key=key, keyless=truth, high_water=0))
         daemon = stack.enter_context(CommandClient(command, key=key, now_or_never=True))
         syncer = stack.enter_context(_Syncer())
-        sync_due = tell_due = 0.0
-        clock = _SteadyClock()
+        sync_due = status_due = 0.0
+        clock = _MonotonicWallClock()
         ready()
         while not stopped():
             if recording.path is None:
                 clock.set()
-            _drain(subscriber, recording, LOOK_S, clock)
+            _drain(subscriber, recording, POLL_S, clock)
             recording.flush(clock())
             error = syncer.failed()
             if error is not None:
@@ -61,39 +62,40 @@ def record(
             now = time.monotonic()
             if now >= sync_due and syncer.sync(recording.fd):
                 sync_due = now + SYNC_S
-            if now >= tell_due and _told(daemon, recording):
-                tell_due = now + TELL_S
-        t_end = time.monotonic() + LAST_WORDS_S
-        while _drain(subscriber, recording, LAST_WORDS_S, clock) and time.monotonic() < t_end:
+            if now >= status_due and _send_status(daemon, recording):
+                status_due = now + STATUS_PERIOD_S
+        t_end = time.monotonic() + DRAIN_S
+        while _drain(subscriber, recording, DRAIN_S, clock) and time.monotonic() < t_end:
             pass
-    recording.finish(ASKED if os.getppid() == starter else STARTER_GONE)
+    recording.finish(REQUESTED if os.getppid() == parent else PARENT_GONE)
 
 
-class _SteadyClock:
-    """Unix time (s) that no setting of the wall clock moves within a file: a file has no message of another year."""
+class _MonotonicWallClock:
+    """Unix time (s) that advances with the monotonic clock between calls of `set`, so setting the wall clock cannot
+    make times jump within a file."""
 
     def __init__(self) -> None:
         self.set()
 
     def set(self) -> None:
-        """By the wall clock, as it is now."""
-        self._ahead = time.time() - time.monotonic()
+        """Align with the wall clock."""
+        self._offset = time.time() - time.monotonic()
 
     def __call__(self) -> float:
-        return time.monotonic() + self._ahead
+        return time.monotonic() + self._offset
 
 
 def _drain(subscriber: Subscriber, recording: Recording, wait_s: float, clock: Callable[[], float]) -> int:
-    """Wait for something to come, then take what there is; how much that was."""
+    """Wait for messages and record all that are there; returns their number."""
     count = 0
-    for frames in subscriber.frames(BATCH, wait_s):
+    for frames in subscriber.frames(BATCH_MESSAGES, wait_s):
         recording.take(frames, clock())
         count += 1
     return count
 
 
-def _told(client: CommandClient, recording: Recording) -> bool:
-    """Whether the daemon, if there is one, took the command `recorder`; earlier answers are of no interest."""
+def _send_status(client: CommandClient, recording: Recording) -> bool:
+    """Send the command `recorder` with the status; False if no daemon takes it. Discards earlier replies."""
     args: dict[str, Any] = {"bytes": recording.size_bytes, "messages": recording.messages, "lost": recording.lost}
     args["process"] = os.getpid()
     if recording.path is not None:
@@ -106,13 +108,13 @@ def _told(client: CommandClient, recording: Recording) -> bool:
 
 
 class _Syncer:
-    """Brings a file to the disk in a thread of its own, one at a time."""
+    """Syncs a file to disk in its own thread, one sync at a time."""
 
     def __init__(self) -> None:
         self._error: OSError | None = None
-        self._wanted = threading.Semaphore(0)
+        self._requested = threading.Semaphore(0)
         self._fd: int | None = None
-        self._over = False
+        self._closing = False
         self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
 
     def __enter__(self) -> _Syncer:
@@ -120,27 +122,27 @@ class _Syncer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over = True
-        self._wanted.release()
+        self._closing = True
+        self._requested.release()
         self._thread.join()
 
     def sync(self, fd: int | None) -> bool:
-        """Begin, unless there is nothing to bring or it is still being brought; whether it has begun."""
+        """Start a sync of `fd` and return True; False without a file or while a sync is running."""
         if fd is None or self._fd is not None:
             return False
         self._fd = os.dup(fd)  # the file may be closed meanwhile
-        self._wanted.release()
+        self._requested.release()
         return True
 
     def failed(self) -> OSError | None:
-        """What has gone wrong since it was asked last."""
+        """The error since the last call, None without one."""
         error, self._error = self._error, None
         return error
 
     def _run(self) -> None:
         while True:
-            self._wanted.acquire()
-            if self._over and self._fd is None:
+            self._requested.acquire()
+            if self._closing and self._fd is None:
                 return
             assert self._fd is not None
             try:

@@ -1,4 +1,4 @@
-"""A run again through the observer, causally: what the daemon would have said, tick by tick. Pure."""
+"""Causal replay of an event log through an observer: the daemon's estimates, tick by tick. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAME_TIME_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One tick of a replay; `shape` and `object` come with every hundredth, where there are any."""
+    """One tick of a replay; `shape` and `object`, if any, come with every `TICKS_PER_SHAPE`th tick."""
 
     number: int
     t: float
@@ -30,31 +30,31 @@ class Tick:
     object: ObjectEstimate | None
 
 
-class Dated(Protocol):
+class TimedEvent(Protocol):
     """An event of any system's log."""
 
     @property
     def t_sample(self) -> float:
-        """When it was true (s)."""
+        """Sample time (s)."""
 
 
 class Log(Protocol):
-    """Of any system."""
+    """A log of any system."""
 
     @property
-    def events(self) -> Sequence[Dated]:
-        """In the order of the file, at least one."""
+    def events(self) -> Sequence[TimedEvent]:
+        """The events in file order, at least one."""
 
 
 def tick_count(log: Log) -> int:
-    """How many ticks there are: from the first event's time to the first tick that has seen them all."""
+    """Number of ticks from the first event's time to the first tick at or after the last event."""
     span = max(event.t_sample for event in log.events) - log.events[0].t_sample
     return max(1, math.ceil((span - _SAME_TIME_S) / PERIOD_S))
 
 
 def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
-    """The observer's answers at t0 + k·10 ms, each from events up to that time only, in the file's order."""
-    for number, t in fed(log, log.events, observer):
+    """The observer's estimates at t0 + k·10 ms, each from events up to that time only, fed in file order."""
+    for number, t in feed_ticks(log, log.events, observer):
         shape, identified = None, None
         with one_thread():
             estimate = observer.estimate(t)
@@ -63,8 +63,8 @@ def replay(log: EventLog, observer: Observer) -> Iterator[Tick]:
         yield Tick(number, t, estimate, shape, identified)
 
 
-def fed(log: Log, events: Iterable[Event], observer: LiveObserver) -> Iterator[tuple[int, float]]:
-    """The number and time of each of a log's ticks, once `observer` has been fed all its `events` up to then."""
+def feed_ticks(log: Log, events: Iterable[Event], observer: LiveObserver) -> Iterator[tuple[int, float]]:
+    """Feed `events` to `observer`; yield number and time of each tick of the log after feeding the events up to it."""
     t0 = log.events[0].t_sample
     waiting = iter(events)
     event = next(waiting, None)
@@ -79,8 +79,8 @@ def fed(log: Log, events: Iterable[Event], observer: LiveObserver) -> Iterator[t
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What the observer of any system says at one tick, as the fields of its own estimate and shape topics."""
+class TickFields:
+    """One tick of a replay of any system, as the fields of its estimate and shape topics."""
 
     number: int
     t: float
@@ -89,25 +89,25 @@ class Said:
     object: ObjectEstimate | None = None
 
 
-def as_said(tick: Tick) -> Said:
-    """A tick of two palms, as fields."""
+def tick_fields(tick: Tick) -> TickFields:
+    """Convert a tick of two palms to fields."""
     shape = None if tick.shape is None else shape_fields(tick.shape)
-    return Said(tick.number, tick.t, estimate_fields(tick.estimate), shape, tick.object)
+    return TickFields(tick.number, tick.t, estimate_fields(tick.estimate), shape, tick.object)
 
 
-def lines(said: Said) -> Iterator[dict[str, Any]]:
-    """The tick as JSON objects: the fields of the estimate, and of outline and object where there are any.
+def lines(tick: TickFields) -> Iterator[dict[str, Any]]:
+    """The tick as JSON objects: the fields of the estimate, and of outline and object if there are any.
 
-    `t` is the log's own time, and so are the stamps. What has no number is NaN.
+    `t` and the stamps are the log's own time. Unknown values are NaN.
     """
-    t = round(said.t, 9)
-    yield stamp({"t": t, **said.estimate}, t, t, said.number)
-    if said.shape is not None:
-        yield {"t": t, "shape": said.shape}
-    if said.object is not None:
-        yield {"t": t, "object": object_fields(said.object)}
+    t = round(tick.t, 9)
+    yield stamp({"t": t, **tick.estimate}, t, t, tick.number)
+    if tick.shape is not None:
+        yield {"t": t, "shape": tick.shape}
+    if tick.object is not None:
+        yield {"t": t, "object": object_fields(tick.object)}
 
 
-def texts(said: Said) -> Iterator[str]:
-    """The same as lines of text; null for what has no number."""
-    return map(as_json, lines(said))
+def texts(tick: TickFields) -> Iterator[str]:
+    """The same as lines of JSON text; unknown values are null."""
+    return map(as_json, lines(tick))

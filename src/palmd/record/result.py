@@ -1,4 +1,4 @@
-"""What a reconstruction says, as one JSON object. Pure."""
+"""The result of a reconstruction as one JSON object. Pure."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from palmd.system.rig_constants import RIG_NAMES
 
 
 def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
-    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value.
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None for unknown values.
 
-    `at_rest` is what the object weighed while it lay still, which needs no outline.
+    `at_rest` is the mass estimated while the object lay still, which needs no outline.
     """
     return {
         **verdict(answer.converged, answer.touched, answer.reason),
@@ -49,8 +49,8 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
 
 
 def _rig(answer: Reconstruction) -> dict[str, dict[str, float | None]]:
-    told = zip(RIG_NAMES, answer.rig.tolist(), answer.rig_sd.tolist(), strict=False)
-    return {name: {"value": or_none(value), "sd": or_none(sd)} for name, value, sd in told}
+    constants = zip(RIG_NAMES, answer.rig.tolist(), answer.rig_sd.tolist(), strict=False)
+    return {name: {"value": or_none(value), "sd": or_none(sd)} for name, value, sd in constants}
 
 
 def _contradicted(answer: Reconstruction) -> dict[str, float]:
@@ -80,7 +80,7 @@ def _marks(marks: Marks | None) -> list[int] | None:
 
 
 def _chords(answer: Reconstruction) -> list[dict[str, object]] | None:
-    """Straight parts of the hull, between two points of the object's frame; None where there is no outline."""
+    """Straight parts of the hull, as pairs of points in the object's frame; None without an outline."""
     if answer.h is None or answer.touched is None:
         return None
     return [

@@ -1,4 +1,4 @@
-"""The result of a reconstruction, read back from its file."""
+"""Read the result of a reconstruction from its file."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Bools = npt.NDArray[np.bool_]
 
 
 class ResultError(Exception):
-    """A result that cannot be used; its text is one line `file: what`."""
+    """A result that cannot be used; the text is one line `file: what is wrong`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a reconstruction tells, from its file: trajectory t (s), psi (rad), radii (m, of each palm), the outline.
+    """A result of `palmd reconstruct`: trajectory t (s), psi (rad), radii (m, one row per palm), and the outline.
 
-    theta, h, h_sd, touched: the outline's normals (rad), support function and its one-sigma (m), marks of touch.
-    rho (m), mass (kg): NaN where there is none.
+    theta, h, h_sd, touched: the outline's normals (rad), support function and its standard deviation (m), and which
+    normals were touched. rho (m), mass (kg): NaN if unknown.
     """
 
     t: FloatArray
@@ -41,9 +41,9 @@ class Result:
 
 
 def read_result(path: Path) -> Result:
-    """What `palmd reconstruct` has written; raises ResultError, also for a reconstruction without a trajectory."""
+    """Read a file of `palmd reconstruct`; raises ResultError, also for a result without a trajectory."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ResultError(f"{path}: {error.strerror or error}") from None
     except UnicodeDecodeError:
@@ -51,20 +51,22 @@ def read_result(path: Path) -> Result:
     except json.JSONDecodeError as error:
         raise ResultError(f"{path}:{error.lineno}:{error.colno}: not JSON: {error.msg}") from None
     except (ValueError, RecursionError):
-        raise ResultError(f"{path}: not JSON: numbers or nesting beyond reason") from None
-    if not isinstance(told, dict) or "trajectory" not in told:
-        raise ResultError(f"{path}: is no result of a reconstruction: it has no trajectory")
-    if not isinstance(told["trajectory"], dict):
-        raise ResultError(f"{path}: the reconstruction has no trajectory: {told.get('reason') or 'not converged'}")
-    columns = [_column(path, told["trajectory"], name) for name in ("t", "psi_rad", *(f"{name}_m" for name in RADII))]
-    outline = [_column(path, told, name) for name in ("theta_rad", "h_m", "h_sd_m", "touched")]
+        raise ResultError(f"{path}: not JSON: a number is too long or nesting too deep") from None
+    if not isinstance(content, dict) or "trajectory" not in content:
+        raise ResultError(f"{path}: is not a result of palmd reconstruct: it has no trajectory")
+    if not isinstance(content["trajectory"], dict):
+        raise ResultError(f"{path}: the reconstruction has no trajectory: {content.get('reason') or 'not converged'}")
+    columns = [
+        _column(path, content["trajectory"], name) for name in ("t", "psi_rad", *(f"{name}_m" for name in RADII))
+    ]
+    outline = [_column(path, content, name) for name in ("theta_rad", "h_m", "h_sd_m", "touched")]
     for group, names in ((columns, "trajectory"), (outline, "theta_rad, h_m, h_sd_m and touched")):
         if len({len(column) for column in group}) > 1 or len(group[0]) < 2:
-            raise ResultError(f"{path}: {names} must be lists of one length, of two or more")
+            raise ResultError(f"{path}: {names} must be lists of equal length, with two or more values")
     if not (np.diff(columns[0]) > 0).all():
         raise ResultError(f"{path}: trajectory.t must increase")
     (t, psi, *radii), (theta, h, h_sd, touched) = columns, outline
-    rho, mass = (_number_or_nan(told.get(name)) for name in ("rho_m", "mass_kg"))
+    rho, mass = (_number_or_nan(content.get(name)) for name in ("rho_m", "mass_kg"))
     return Result(t, psi, np.stack(radii), theta, h, h_sd, touched != 0.0, rho, mass)
 
 
@@ -72,8 +74,8 @@ def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def _column(path: Path, told: dict[str, Any], name: str) -> FloatArray:
-    values = told.get(name)
+def _column(path: Path, content: dict[str, Any], name: str) -> FloatArray:
+    values = content.get(name)
     if not isinstance(values, list):
         raise ResultError(f"{path}: {name} is missing")
     for i, value in enumerate(values):

@@ -1,4 +1,4 @@
-"""A recorded run, read back: its messages, the events that the observer was fed, its configuration and versions."""
+"""Read a recorded run: its messages, the events that the observer received, its configuration and versions."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
 from palmd.record import METADATA, RunError
-from palmd.record.damage import Damage, described
+from palmd.record.damage import Damage, damage_text
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage
 from palmd.record.mcapread import Layout, read_layout, read_messages
 from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
 from palmd.record.outline_curves import OutlineCurves, curves_of
-from palmd.record.scene import Scene, SceneWatch
+from palmd.record.scene import Scene, SceneBuilder
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
@@ -51,7 +51,7 @@ Read = TypeVar("Read")
 
 @dataclass(frozen=True, slots=True)
 class FedTick:
-    """One tick of the loop: its time `t` (s), the events that the observer was fed in it, and its number."""
+    """One tick of the loop: its time `t` (s), the events that the observer received in it, and its number."""
 
     t: float
     events: tuple[Event, ...]
@@ -60,7 +60,7 @@ class FedTick:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What a run holds of one topic: how many messages, from which number on, how many are missing between."""
+    """One topic of a run: number of messages, first sequence number, missing messages, first and last arrival (ns)."""
 
     count: int
     first: int
@@ -71,17 +71,17 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class AnyRun(ABC):
-    """A recording of whichever system. What of its file is damaged is left out, and told by `notes`.
+    """A recording of any system. Damaged parts of its file are skipped; `notes` describe them.
 
-    What is read lazily may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and which
-    run it continues. `rig` is what the observer was told.
+    Reading messages may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and the run
+    that this one continues. `rig` is the description that the observer used.
     """
 
     system: ClassVar[str]
-    described: ClassVar[type]
-    """What `rig` is."""
-    says: ClassVar[MessageCodec]
-    """Its messages."""
+    rig_type: ClassVar[type]
+    """Type of `rig`."""
+    codec: ClassVar[MessageCodec]
+    """Codec of the system's messages."""
 
     path: Path
     layout: Layout
@@ -92,65 +92,65 @@ class AnyRun(ABC):
 
     @property
     def complete(self) -> bool:
-        """Whether it was finished, and has its end still."""
+        """Whether the file was finished and its end is intact."""
         return self.layout.finished and not self.damage.cut
 
     @property
     def damage(self) -> Damage:
-        """What of its file cannot be read."""
+        """The unreadable parts of the file."""
         return self.layout.damage
 
     @property
     def damage_notes(self) -> tuple[str, ...]:
-        """How much of it is missing, if it is damaged."""
-        said = described(self.damage, self.layout.begin_ns)
-        return (f"{self.path}: {said}",) if said else ()
+        """One line on the missing parts, empty if the file is not damaged."""
+        text = damage_text(self.damage, self.layout.begin_ns)
+        return (f"{self.path}: {text}",) if text else ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What whoever uses it should know: how much of it is missing, or that it was not finished."""
-        unfinished = f"{self.path}: the recording was not finished; what there is of it is used"
+        """Remarks for the user: missing parts, or that the file was not finished."""
+        unfinished = f"{self.path}: the recording was not finished; its messages up to the end are used"
         return self.damage_notes or (() if self.complete else (unfinished,))
 
     @property
     def topics(self) -> SystemTopics:
-        """Those of its system."""
+        """The topics of the system."""
         return SYSTEM_TOPICS[self.system]
 
     def ticks(self) -> Iterator[FedTick]:
-        """Every recorded tick with its events, bit for bit; an observer is in the same state only from number 0 on."""
-        events_of = self.says.events_of
+        """Every recorded tick with its events, bit for bit; only from tick 0 on is an observer's state reproduced."""
+        events_of = self.codec.events_of
         return self._read(
             self.topics.events, lambda fields: FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
         )
 
-    band: ClassVar[str] = "h_sd_m"
-    """The field of its shape that tells the outline's one-sigma."""
+    sd_field: ClassVar[str] = "h_sd_m"
+    """Field of the shape message with the outline's standard deviation."""
 
-    def scenes(self) -> Callable[[str, Fields], Scene | None] | None:
-        """What makes scenes of its messages, by topic; None where there are none."""
+    def scene_builder(self) -> Callable[[str, Fields], Scene | None] | None:
+        """A function that makes scenes from topics and messages; None if the system has none."""
         return None
 
     @abstractmethod
-    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
-        """An outline as it was published, as curves for CAD."""
+    def outline_curves(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """A published outline as curves for CAD."""
 
     @abstractmethod
     def observer(self) -> LiveObserver:
-        """The one that it was made with, as it began, hearing the smoother's recorded answers."""
+        """A new observer as configured for the run, which receives the smoother's recorded answers."""
 
-    def said(self, estimate: Any) -> Fields:
-        """Its estimate as it is published."""
-        return self.says.estimate_fields(estimate)
+    def estimate_fields(self, estimate: Any) -> Fields:
+        """The fields of an estimate as they are published."""
+        return self.codec.estimate_fields(estimate)
 
     def messages(self, *topics: str) -> Iterator[RawMessage]:
-        """All intact messages, or those of these topics, as they were received."""
+        """All intact messages, or those of the given topics, in the order of reception."""
         for message in read_messages(self.path, self.layout):
             if not topics or message.topic in topics:
                 yield message
 
     def survey(self) -> dict[str, Survey]:
-        """What there is, by topic; reads the whole file."""
+        """Message counts by topic; reads the whole file."""
         found: dict[str, Survey] = {}
         last: dict[str, int] = {}
         for message in self.messages():
@@ -165,7 +165,7 @@ class AnyRun(ABC):
         return found
 
     def require(self, *topics: Topic) -> None:
-        """Raise RunError unless there are messages of each of these topics; reads no further than it must."""
+        """Raise RunError unless there are messages of each of the given topics; reads only as far as necessary."""
         wanted = {topic.name for topic in topics}
         for message in self.messages():
             wanted.discard(message.topic)
@@ -180,52 +180,52 @@ class AnyRun(ABC):
             except (KeyError, ValueError, TypeError) as error:
                 raise RunError(f"{self.path}: {topic.name}, message {message.sequence}: {error!r}") from None
 
-    def _answers(self, topic: Topic, answer_of: Callable[[Fields], Read]) -> Iterator[tuple[float, Read]]:
-        """What the smoother beside the loop had to say there, with the time (s) of the tick in which it was heard."""
+    def _smoother_answers(self, topic: Topic, answer_of: Callable[[Fields], Read]) -> Iterator[tuple[float, Read]]:
+        """The smoother's answers in a topic, with the time (s) of the tick in which the loop received each."""
         return self._read(topic, lambda fields: (fields["t_tick_s"], answer_of(fields)))
 
 
 class RecordedAnswers(Generic[Read]):
-    """The smoother's answers in the ticks in which they came, for an observer that hears them again."""
+    """Stands in for the smoother: gives an observer the recorded answers, each in the tick in which it was received."""
 
     def __init__(self, answers: Iterable[tuple[float, Read]]) -> None:
-        self._answers = dict(answers)
+        self._smoother_answers = dict(answers)
 
     def submit(self, t: float, *_: object) -> None:
-        """They are what they were."""
+        """Ignore new data; the answers are recorded."""
 
     def collect(self, t: float) -> Read | None:
-        """That of the tick at t (s)."""
-        return self._answers.get(t)
+        """The answer received in the tick at t (s)."""
+        return self._smoother_answers.get(t)
 
 
 @dataclass(frozen=True, slots=True)
 class Run(AnyRun):
     """A recording of two palms.
 
-    The configuration's `observer.shape` is left out: `outlines` has what was in it.
+    The configuration's `observer.shape` is None; `outlines` returns the recorded outlines instead.
     """
 
     system: ClassVar[str] = TWO_PALMS
-    described: ClassVar[type] = RigDescription
-    says: ClassVar[MessageCodec] = messages
+    rig_type: ClassVar[type] = RigDescription
+    codec: ClassVar[MessageCodec] = messages
 
     config: Config
     rig: RigDescription
 
-    def scenes(self) -> Callable[[str, Fields], Scene | None]:
-        """Palms and outline in the world frame."""
-        return SceneWatch(self.config).take
+    def scene_builder(self) -> Callable[[str, Fields], Scene | None]:
+        """A function that makes scenes: palms and outline in the world frame."""
+        return SceneBuilder(self.config).take
 
-    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
-        """About the centre of mass."""
+    def outline_curves(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """The outline about the centre of mass as curves for CAD."""
         theta, h, h_sd, touched = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched"))
-        name = f"{self.path.stem}, object {estimate['object']}, as it was known at the end"
-        told = {"rho_m": estimate["rho_m"], "mass_kg": estimate["mass_kg"]}
-        return curves_of(name, theta, h, h_sd, touched > 0, **told)
+        name = f"{self.path.stem}, object {estimate['object']}, last valid estimate"
+        body = {"rho_m": estimate["rho_m"], "mass_kg": estimate["mass_kg"]}
+        return curves_of(name, theta, h, h_sd, touched > 0, **body)
 
     def observer(self) -> Observer:
-        """As configured."""
+        """The configured observer with the smoother's recorded answers."""
         from palmd import observer
 
         settings = self.config.observer
@@ -234,38 +234,38 @@ class Run(AnyRun):
         return observer.make(settings.primary, self.rig, smoothing=smoothing, outlines=self.outlines())
 
     def events(self) -> Iterator[tuple[float, Event]]:
-        """Every event with the time (s) of the tick in which the observer was fed it."""
+        """Every event with the time (s) of the tick in which the observer received it."""
         for tick in self.ticks():
             for event in tick.events:
                 yield tick.t, event
 
     def improvements(self) -> Iterator[tuple[float, Improvement]]:
-        """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
+        """The improved estimates of the smoother, with the time (s) of the tick in which the loop received each."""
 
         def read(fields: Fields) -> tuple[float, Improvement]:
             if "spread" not in fields or len(fields["rig"]) != len(RIG_NAMES):
                 raise RunError(
-                    f"{self.path}: its smoother's answers are of another version, and this palmd cannot check them;"
-                    f" `palmd estimate {self.path}` runs the smoother anew"
+                    f"{self.path}: its smoother's answers are of another version and cannot be checked by this palmd;"
+                    f" `palmd estimate {self.path}` runs the smoother again"
                 )
             return fields["t_tick_s"], improvement_of(fields)
 
         return self._read(IMPROVEMENT, read)
 
     def unexplained(self) -> Iterator[tuple[float, Unexplained]]:
-        """When it had to say that nothing explains the readings, likewise."""
-        return self._answers(UNEXPLAINED, lambda fields: Unexplained(fields["t_s"]))
+        """The smoother's reports that no hypothesis explains the readings, with tick times (s) as in `improvements`."""
+        return self._smoother_answers(UNEXPLAINED, lambda fields: Unexplained(fields["t_s"]))
 
     def event_log(self) -> EventLog:
-        """The run in the neutral form of event logs; raises RunError when there are no events in it."""
+        """The run as an event log; raises RunError if it holds no events."""
         self.require(EVENTS)
         events = tuple(event for _, event in self.events())
         if not events:
-            raise RunError(f"{self.path}: {EVENTS.name} tells of no event: neither pad nor arm was heard")
+            raise RunError(f"{self.path}: {EVENTS.name} holds no events: no data came from pads or arm")
         return EventLog(self.rig, events, self.notes)
 
     def outlines(self) -> tuple[Outline, ...]:
-        """The stored outlines that the observer had to choose from, empty without any."""
+        """The stored outlines that the observer could recognise, empty for none."""
         files = {name: data for name, data in self.preface.attachments.items() if name.startswith(OUTLINES)}
         if not files:
             return ()
@@ -279,58 +279,58 @@ class Run(AnyRun):
 
 
 def read_run(path: Path) -> Run:
-    """The recording of two palms in a file, finished or not; raises RunError as `read_any_run`, and for others."""
+    """Read a recording of two palms, finished or not; raises RunError as `read_any_run`, and for other systems."""
     run = read_any_run(path)
     if not isinstance(run, Run):
         why = for_two_palms_only(run.system)
-        raise RunError(f"{path}: {why}; palmd replay shows it, with --check again through its observer")
+        raise RunError(f"{path}: {why}; use palmd replay to show it, and palmd replay --check to recheck its observer")
     return run
 
 
 def read_any_run(path: Path) -> AnyRun:
-    """The recording in a file, finished or not; raises RunError when it cannot be used.
+    """Read a recording of any system, finished or not. Not for the loop.
 
-    That is a file that cannot be read, is no MCAP file, none of palmd's, of another schema version, or holds no
-    messages. Not for the loop.
+    Raises RunError for a file that cannot be read, is not an MCAP file, is not a recording of palmd, has another schema
+    version, or holds no messages.
     """
     try:
         layout = read_layout(path)
     except FileNotFoundError:
-        raise RunError(f"{path}: no such file; `palmd runs FOLDER` lists what has been recorded there") from None
+        raise RunError(f"{path}: no such file; `palmd runs FOLDER` lists the recordings in a folder") from None
     except IsADirectoryError:
-        raise RunError(f"{path}: is a folder; a run is a file in one: `palmd runs FOLDER` lists them") from None
+        raise RunError(f"{path}: is a folder; name a recording in it: `palmd runs FOLDER` lists them") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
     preface, empty = preface_of(layout), not layout.count
     complete = layout.finished and not layout.damage.cut
     metadata = preface.metadata.get(METADATA)
     if metadata is None and empty and not complete:
-        raise RunError(f"{path}: is cut off before its first message: there is nothing left in it")
+        raise RunError(f"{path}: is truncated before its first message: there is nothing left in it")
     if metadata is None:
-        raise RunError(f"{path}: is an MCAP file, but no recording of palmd")
+        raise RunError(f"{path}: is an MCAP file, but not a recording of palmd")
     if metadata.get("schema") != str(SCHEMA):
         raise RunError(f"{path}: has messages of schema {metadata.get('schema')}; this palmd reads schema {SCHEMA}")
     if empty:
-        damage = described(layout.damage, layout.begin_ns)
-        why = damage or ("the recording was finished before any came" if complete else "it is cut off before the first")
+        damage = damage_text(layout.damage, layout.begin_ns)
+        why = damage or ("the recording ended before any arrived" if complete else "it is truncated before the first")
         raise RunError(f"{path}: holds no messages{' that can be read' * bool(damage)}: {why}")
     values = _config_values(path, preface)
     rig = values.get("rig")
     named = str(rig.get("system", TWO_PALMS)) if isinstance(rig, dict) else TWO_PALMS
     if named not in LIVE:
-        raise RunError(f"{path}: is of a system that this palmd does not know: {named}")
+        raise RunError(f"{path}: is a recording of a system that this palmd does not know: {named}")
     kind: type[AnyRun] = load_part(LIVE[named].recording)
     config = _config(path, load_part(LIVE[named].config), values)
-    return kind(path, layout, metadata, preface, config, _rig(path, preface, kind.described))
+    return kind(path, layout, metadata, preface, config, _rig(path, preface, kind.rig_type))
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
     if CONFIG not in preface.attachments:
-        raise RunError(f"{path}: holds no configuration: neither the attached file {CONFIG} nor a palm/config")
+        raise RunError(f"{path}: holds no configuration: neither the attached file {CONFIG} nor a palm/config message")
     try:
         values = yaml.safe_load(preface.attachments[CONFIG])
         if not isinstance(values, dict):
-            raise TypeError("it is no map")
+            raise TypeError("it is not a map")
         return values
     except (TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
@@ -345,8 +345,8 @@ def _config(path: Path, model: type[AnyConfig], values: dict[str, Any]) -> AnyCo
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 
-def _rig(path: Path, preface: Preface, described: type) -> Any:
+def _rig(path: Path, preface: Preface, rig_type: type) -> Any:
     try:
-        return TypeAdapter(described).validate_python(json.loads(preface.attachments[RIG]))
+        return TypeAdapter(rig_type).validate_python(json.loads(preface.attachments[RIG]))
     except (KeyError, ValueError) as error:
         raise RunError(f"{path}: its description of the rig cannot be read: {str(error).splitlines()[0]}") from None

@@ -1,4 +1,4 @@
-"""One run on the disk while it is being recorded, and its packing when it has ended."""
+"""The file of a run while it is being recorded, and its packing after the end."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from palmd.record.mcapread import Layout, read_layout, read_messages
 from palmd.record.metadata import preface_of
 
 NAME = "%Y-%m-%dT%H-%M-%SZ"
-_MOST_OF_ONE_SECOND = 100
+_MAX_FILES_PER_SECOND = 100
 
 
 class _Spool(BytesIO):
-    """Collects what is written; `flush` brings it to the file as a whole, or leaves the file as it was."""
+    """Write buffer whose `flush` writes all of its contents to the file, or leaves the file unchanged."""
 
     def __init__(self, fd: int) -> None:
         super().__init__()
@@ -46,10 +46,10 @@ class _Spool(BytesIO):
 
 
 class RunFile:
-    """A new file in `directory`, named after its beginning. All of it raises OSError; the file then stays readable."""
+    """A new file in `directory`, named after its start time. Methods raise OSError; the file then stays readable."""
 
     def __init__(self, directory: Path, preface: Preface, begin: datetime) -> None:
-        """Makes the directory if it is not there; the file holds its preface at once."""
+        """Create the directory if necessary, and the file with its preface."""
         directory.mkdir(parents=True, exist_ok=True)
         self.path, self.fd = _created(directory, begin)
         self.messages = self._flushed = 0
@@ -64,67 +64,67 @@ class RunFile:
 
     @property
     def size_bytes(self) -> int:
-        """That have been handed to the operating system."""
+        """Bytes written to the operating system."""
         return self._spool.written
 
     @property
     def pending(self) -> int:
-        """How many messages have not been."""
+        """Number of messages not yet written to the operating system."""
         return self.messages - self._flushed
 
     def write(self, message: RawMessage) -> None:
-        """Append one message; nothing is safe before the next `flush`."""
+        """Buffer one message until the next `flush`."""
         self._writer.write(message)
         self.messages += 1
 
     def flush(self) -> None:
-        """Hand everything to the operating system: a death of this process then loses nothing of it."""
+        """Write everything to the operating system; it then survives a crash of this process."""
         self._spool.flush()
         self._flushed = self.messages
 
     def finish(self, why: str = "") -> None:
-        """Write the end, and why it has come, bring everything to the disk, and close."""
+        """Write the footer and the reason `why`, sync to disk, and close."""
         self._writer.finish(why)
         self.flush()
         os.fsync(self.fd)
         os.close(self.fd)
 
     def abandon(self) -> None:
-        """Close without an end, as a file that cannot be written any further."""
+        """Close the file unfinished."""
         os.close(self.fd)
 
 
 def _created(directory: Path, begin: datetime) -> tuple[Path, int]:
     stem = begin.astimezone(UTC).strftime(NAME)
-    for number in range(1, _MOST_OF_ONE_SECOND):
+    for number in range(1, _MAX_FILES_PER_SECOND):
         path = directory / f"{stem}{f'-{number}' if number > 1 else ''}{SUFFIX}"
         with contextlib.suppress(FileExistsError):
             return path, os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-    raise FileExistsError(f"{stem}{SUFFIX} and {_MOST_OF_ONE_SECOND - 1} more exist")
+    raise FileExistsError(f"{stem}{SUFFIX} and {_MAX_FILES_PER_SECOND - 1} more exist")
 
 
 def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> Layout:
-    """Write what can be read of `source` to `target` as a finished file of compressed chunks, and rename it into place.
+    """Write the readable messages of `source` to `target` as a finished file of compressed chunks, atomically.
 
-    Both may be the same path, unless something in it cannot be read or is another program's. It belongs to whom
-    `source` belongs to, as far as we may give it away. `at` is told the number of messages that are done.
-    Returns what `source` holds. Raises OSError, RunError, and leaves no part of a file then.
+    Both may be the same path, unless parts of it are unreadable or from another program. The new file gets the owner
+    and mode of `source` if permitted. `at` is called with the number of messages written. Returns the layout of
+    `source`. Raises OSError, RunError; no partial file remains then.
     """
     layout = read_layout(source)
     if layout.damage.unread_bytes and target.exists() and target.samefile(source):
         raise RunError(
-            f"{source}: {layout.damage.unread_bytes:,} bytes of it cannot be read, and would be lost in its place; "
-            "write to another file"
+            f"{source}: {layout.damage.unread_bytes:,} bytes cannot be read and would be lost if the file were "
+            "replaced; write to another file"
         )
     if layout.foreign and target.exists() and target.samefile(source):
         raise RunError(f"{source}: holds messages of other programs, which would be lost; write to another file")
     if target.exists() and not target.is_file():
-        raise RunError(f"{target}: is no file; write to a file")
+        raise RunError(f"{target}: is not a regular file; write to another file")
     part = target.with_name(f".{target.name}.part")
     count = 0
     try:
         with part.open("wb") as stream:
-            _give(stream.fileno(), source)
+            _copy_ownership(stream.fileno(), source)
             preface = preface_of(layout)
             writer: RunWriter | None = None
             for message in read_messages(source, layout):
@@ -143,8 +143,8 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
     return layout
 
 
-def _give(fd: int, like: Path) -> None:
-    """The rights of another file: root, who recovers a service's recording, must not take it away from the service."""
+def _copy_ownership(fd: int, like: Path) -> None:
+    """Copy owner and mode of another file, so that a service keeps its recording when root recovers it."""
     other = like.stat()
     with contextlib.suppress(PermissionError):
         os.fchown(fd, other.st_uid, other.st_gid)

@@ -1,4 +1,4 @@
-"""What there was to see at one instant of a run: palms, outline and centre of mass in the world frame. Pure."""
+"""The scene at one instant of a run: palms, outline and centre of mass in the world frame. Pure."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from palmd.quantities import ESTIMATE, SHAPE
 from palmd.system.mechanism import JOINTS, directions, hinge_position
 
 _JOINTS = tuple(f"{joint}_rad" for joint in JOINTS)
-_PLACE = (*_JOINTS, "psi_rad", "com_x_m", "com_y_m")
+_POSE = (*_JOINTS, "psi_rad", "com_x_m", "com_y_m")
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Places in m. palms (3, 2): tip of pad 1, hinge, tip of pad 2. outline (361, 2): closed. centre (2): of mass.
+    """Points in m. palms (3, 2): tip of pad 1, hinge, tip of pad 2. outline (361, 2): closed. centre (2): of mass.
 
-    `valid` is the estimate's.
+    `valid` is the validity of the estimate.
     """
 
     valid: bool
@@ -31,8 +31,8 @@ class Scene:
     centre: FloatArray
 
 
-class SceneWatch:
-    """Makes a scene of each outline that has an estimate of the same tick before it, with a place in it."""
+class SceneBuilder:
+    """Makes a scene from each outline that follows an estimate of the same tick with a finite pose."""
 
     def __init__(self, config: Config) -> None:
         self._arc = rig_description(config).arc
@@ -40,20 +40,20 @@ class SceneWatch:
         self._estimate: Fields = {}
 
     def take(self, topic: str, fields: Fields) -> Scene | None:
-        """The scene that a message completes, if it does."""
+        """The scene that a message completes, None if it completes none."""
         if topic == ESTIMATE.name:
             self._estimate = fields
-        told = self._estimate
-        if topic != SHAPE.name or told.get("mono_ns") != fields["mono_ns"]:
+        estimate = self._estimate
+        if topic != SHAPE.name or estimate.get("mono_ns") != fields["mono_ns"]:
             return None
-        if not all(math.isfinite(told[name]) for name in _PLACE):
+        if not all(math.isfinite(estimate[name]) for name in _POSE):
             return None
-        angles = directions(told[joint] for joint in _JOINTS)
+        angles = directions(estimate[joint] for joint in _JOINTS)
         hinge = np.array(hinge_position(*self._arc, angles[0]))
         tips = [
             hinge + length * np.array([math.cos(angle), math.sin(angle)])
             for length, angle in zip(self._pads, angles, strict=True)
         ]
-        centre = np.array([told["com_x_m"], told["com_y_m"]])
-        outline = closed_outline(np.array(fields["theta_rad"]), np.array(fields["h_m"])) @ turned(told["psi_rad"])
-        return Scene(told["valid"], np.array([tips[0], hinge, tips[1]]), centre + outline, centre)
+        centre = np.array([estimate["com_x_m"], estimate["com_y_m"]])
+        outline = closed_outline(np.array(fields["theta_rad"]), np.array(fields["h_m"])) @ turned(estimate["psi_rad"])
+        return Scene(estimate["valid"], np.array([tips[0], hinge, tips[1]]), centre + outline, centre)

@@ -1,4 +1,4 @@
-"""Messages as rows of a table: nested maps laid flat, and which columns there are. Pure."""
+"""Messages as rows of a table: flattening of nested maps, and the columns of a run. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FIRST = tuple(field.name for field in STAMP)
 
 
 def flat(fields: Fields) -> Iterator[tuple[str, Any]]:
-    """Each value with its name; what a nested map holds as `map.name`."""
+    """Each value with its name; values of nested maps are named `map.name`."""
     for name, value in fields.items():
         if isinstance(value, dict):
             yield from ((f"{name}.{inner}", each) for inner, each in flat(value))
@@ -23,10 +23,10 @@ def flat(fields: Fields) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def examples(run: AnyRun, done: Callable[[], None]) -> dict[str, Fields]:
-    """By topic: every field that occurs in any of its messages, with the first value of each; the stamp comes first.
+def field_examples(run: AnyRun, done: Callable[[], None]) -> dict[str, Fields]:
+    """By topic: every field that occurs in any of its messages, with the first value of each; stamp fields first.
 
-    Maps within maps are gathered likewise. `done` is called after each message. Raises RunError, OSError.
+    Nested maps are merged in the same way. `done` is called after each message. Raises RunError, OSError.
     """
     found: dict[str, Fields] = {}
     for message in run.messages():
@@ -39,7 +39,7 @@ def _gather(known: Fields, fields: Fields) -> None:
     for name, value in fields.items():
         if isinstance(value, dict):
             _gather(known.setdefault(name, {}), value)
-        elif name not in known or known[name] == []:  # an empty list does not tell what lists hold
+        elif name not in known or known[name] == []:  # an empty list does not show the type of its elements
             known[name] = value
 
 

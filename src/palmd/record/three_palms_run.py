@@ -27,22 +27,24 @@ class ThreePalmsRun(AnyRun):
     """A recording of three palms in space."""
 
     system: ClassVar[str] = SYSTEM
-    described: ClassVar[type] = ThreePalmsRig
-    says: ClassVar[MessageCodec] = three_palms_messages
+    rig_type: ClassVar[type] = ThreePalmsRig
+    codec: ClassVar[MessageCodec] = three_palms_messages
 
     config: ThreePalmsConfig
     rig: ThreePalmsRig
 
-    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
-        """Its shadow on the plane of the body's x and y, about the centre of mass."""
+    def outline_curves(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """The body's projection onto the plane of its x and y axes, about the centre of mass, as curves for CAD."""
         halvings = int(shape["halvings"])
         h, h_sd, touched = (
             shadow(np.array(shape[name], dtype=np.float64), halvings, SHADOW) for name in ("h_m", "h_sd_m", "touched")
         )
         theta: FloatArray = np.arange(len(h), dtype=np.float64) * (math.tau / len(h))
-        name = f"{self.path.stem}, object {estimate['object']}: shadow of the body on the plane of its {SHADOW}"
+        name = f"{self.path.stem}, object {estimate['object']}: projection of the body onto its {SHADOW} plane"
         return curves_of(name, theta, h, np.maximum(h_sd, 0.0), touched > 0.5, mass_kg=estimate["mass_kg"])
 
     def observer(self) -> BodyObserver:
-        """There is one."""
-        return BodyObserver(self.rig, RecordedAnswers(self._answers(PALM3_ANSWER, three_palms_messages.answer_of)))
+        """The live observer of three palms."""
+        return BodyObserver(
+            self.rig, RecordedAnswers(self._smoother_answers(PALM3_ANSWER, three_palms_messages.answer_of))
+        )

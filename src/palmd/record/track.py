@@ -1,4 +1,4 @@
-"""A camera's track of the object and the palms: a table of times, places and angles in the camera's clock and frame."""
+"""A camera's track of object and palms: a table of times, positions and angles in the camera's clock and frame."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from palmd.system.mechanism import PALMS
 TIME = "t_s"
 OBJECT = ("object_x_mm", "object_y_mm", "object_angle_deg")
 ANGLES = tuple(f"palm{palm}_angle_deg" for palm in PALMS)
-LEAST_ROWS = 30
-EXTENT_MM = (0.2, 1000.0)  # over which a mark on an object between palms moves
+MIN_ROWS = 30
+EXTENT_MM = (0.2, 1000.0)  # plausible range of a mark's motion; others hint at a wrong unit
 MAX_BYTES = 200_000_000
 
 
 class TrackError(Exception):
-    """A track that cannot be used; its text is one line `file:line: what`."""
+    """A track that cannot be used; the text is one line `file:line: what is wrong`."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraTrack:
     """n rows at times `t` (s) of the camera's clock; NaN where the camera saw nothing.
 
-    mark (n, 2): place of the object's mark (m). angle (n): of the object's arrow, palms (n, 2): of palm 1 and palm 2,
-    that is φ1 and φ12; in rad, on any branch, in the camera's frame.
+    mark (n, 2): position of the mark on the object (m). angle (n): of the object's arrow; palms (n, 2): of palm 1 and
+    palm 2, that is φ1 and φ12. Angles in rad, on any branch, in the camera's frame.
     """
 
     t: FloatArray
@@ -45,12 +45,11 @@ class _BadRowError(ValueError):
 
 
 def read_track(path: Path) -> CameraTrack:
-    """The track in a CSV file; raises TrackError. Not for the loop.
+    """Read a track from a CSV file; raises TrackError. Not for the loop.
 
-    The header names the columns, in any order: `t_s,object_x_mm,object_y_mm,object_angle_deg`, and where the camera
-    sees them `palm1_angle_deg,palm2_angle_deg`; others are ignored, empty cells and NaN are what was not seen. Refused
-    are times that do not increase, ragged rows, fewer than `LEAST_ROWS` rows that show the object, and places that
-    cannot be millimetres.
+    The header names the columns, in any order: `t_s,object_x_mm,object_y_mm,object_angle_deg`, and optionally
+    `palm1_angle_deg,palm2_angle_deg`; others are ignored. Empty cells and NaN mean not seen. Raises TrackError for
+    times that do not increase, ragged rows, fewer than `MIN_ROWS` rows that show the object, and implausible positions.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -84,15 +83,15 @@ def _table(path: Path, stream: TextIO) -> FloatArray:
 
 
 def _problem(table: FloatArray) -> str:
-    """Why the table as a whole cannot be a track, empty when it can."""
+    """Why the whole table is not a valid track; empty if it is."""
     seen = _seen(table)
-    if seen.sum() < LEAST_ROWS:
-        return f"{int(seen.sum())} rows show the object; {LEAST_ROWS} are needed"
+    if seen.sum() < MIN_ROWS:
+        return f"{int(seen.sum())} rows show the object; {MIN_ROWS} are needed"
     extent = float(np.ptp(table[seen, 1:3], axis=0).max())
     if extent < EXTENT_MM[0]:
-        return f"the object moves over {extent:.3g} mm only: are object_x_mm and object_y_mm in metres?"
+        return f"the object moves by only {extent:.3g} mm: are object_x_mm and object_y_mm in metres?"
     if extent > EXTENT_MM[1]:
-        return f"the object moves over {extent:.3g} mm: are object_x_mm and object_y_mm in µm?"
+        return f"the object moves by {extent:.3g} mm: are object_x_mm and object_y_mm in µm?"
     return ""
 
 
@@ -101,14 +100,14 @@ def _seen(table: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _columns(header: list[str]) -> dict[str, int]:
-    """Where each column stands, and under "" how many there are."""
+    """Index of each known column, and under "" the number of columns."""
     names = [cell.strip() for cell in header]
     if not any(names):
         raise _BadRowError("the file is empty")
     for name in (TIME, *OBJECT):
         if names.count(name) != 1:
-            what = "twice" if name in names else "missing"
-            raise _BadRowError(f"the column {name} is {what}; the header is {','.join((TIME, *OBJECT))} and more")
+            fault = "twice" if name in names else "missing"
+            raise _BadRowError(f"the column {name} is {fault}; required columns: {','.join((TIME, *OBJECT))}")
     return {name: names.index(name) for name in (TIME, *OBJECT, *ANGLES) if name in names} | {"": len(names)}
 
 

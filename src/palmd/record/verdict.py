@@ -10,33 +10,33 @@ import numpy as np
 from palmd.observer.visits import Marks
 
 ACCEPTED, PARTIAL, REJECTED = "accepted", "partial", "rejected"
-LEAST_COVERAGE = 0.10
-"""Least share of the normals that an accepted result covers (convention)."""
+MIN_COVERAGE = 0.10
+"""Smallest fraction of the normals that an accepted result covers (convention)."""
 
 
 def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, Any]:
     """The fields `verdict`, `converged`, `coverage` (0 to 1) and `reason` of a result.
 
-    explained: whether the readings are explained to their noise. touched: of each normal, None where nothing is known.
-    `converged` is True of an accepted result only.
+    explained: whether the readings are explained to within their noise. touched: whether each normal was touched, None
+    without an outline. `converged` is True for accepted results only.
     """
     coverage = 0.0 if touched is None else float(np.mean(touched))
-    found = (ACCEPTED if coverage >= LEAST_COVERAGE else PARTIAL) if explained else REJECTED
+    found = (ACCEPTED if coverage >= MIN_COVERAGE else PARTIAL) if explained else REJECTED
     if found == PARTIAL:
         reason = (
-            f"only {coverage:.1%} of the normals were touched, and the estimate holds for these; an object is accepted"
-            f" from {LEAST_COVERAGE:.0%} on: turn the palms so that the object rolls farther"
+            f"only {coverage:.1%} of the normals were touched, and the estimate holds for these; at least"
+            f" {MIN_COVERAGE:.0%} are needed: move the palms so that the object rolls farther"
         )
     return {"verdict": found, "converged": found == ACCEPTED, "coverage": coverage, "reason": reason or None}
 
 
 def in_one_line(line: Mapping[str, Any], summary: str) -> str:
-    """A result in one line for people; `summary`: of its estimate, if it has one."""
+    """A result in one line for people; `summary` describes its estimate, if it has one."""
     if line["verdict"] == REJECTED:
         return f"not converged: {line['reason']}"
     return summary if line["verdict"] == ACCEPTED else f"partial: {line['reason']}; {summary}"
 
 
 def has_estimate(line: Mapping[str, Any]) -> bool:
-    """Whether a result, of this version or an older one, holds an estimate of at least a part of an object."""
+    """Whether a result, of this version or an older one, holds an estimate of at least part of an object."""
     return bool(line.get("converged")) or line.get("verdict") == PARTIAL

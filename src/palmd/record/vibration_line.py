@@ -1,4 +1,4 @@
-"""The block `rig.vibration` in line 1 of an event log, read."""
+"""Read the block `rig.vibration` in line 1 of an event log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MORE_THAN_ZERO = ("frequency", "speed")
 
 
 def read_vibration(rig: Line) -> Vibration:
-    """What the header's rig says of the palms' vibration: independent where it says nothing. Raises BadLineError."""
+    """The palms' vibration from the header's rig, independent if it is missing. Raises BadLineError."""
     if rig.get("vibration") is None:
         return INDEPENDENT
     line = block(rig, "vibration")

@@ -1,1 +1,1 @@
-"""A recorded run as one file to read or print."""
+"""Reports of recorded runs, root-cause analysis of holds and stops, and comparisons with ground truth."""

@@ -1,4 +1,4 @@
-"""Where outline, contacts and centre of mass are, from what runs tell of them. Pure NumPy; metres and radians."""
+"""Positions of outline, contacts and centre of mass from the estimates of a run. Pure NumPy; metres and radians."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ _ARC_POINTS = 25
 
 
 def points(theta: FloatArray, h: FloatArray) -> FloatArray:
-    """The outline's own points (2, n): x = h n + h′ dn/dθ, for h on even normals theta, taken as band-limited."""
+    """Points (2, n) of the outline, x = h n + h′ dn/dθ, for band-limited h on evenly spaced normals theta."""
     k = np.arange(len(h) // 2 + 1)
     slope = np.fft.irfft(1j * np.where(2 * k == len(h), 0, k) * np.fft.rfft(h), len(h))
     return np.asarray(h * normals(theta).T + slope * normals(theta + math.pi / 2).T)
 
 
 def turned(at: FloatArray, angle: float) -> FloatArray:
-    """Points (2, n) turned about the origin."""
+    """Points (2, n) rotated about the origin by `angle` (rad)."""
     cos, sin = math.cos(angle), math.sin(angle)
     return np.asarray(np.array([[cos, -sin], [sin, cos]]) @ at)
 
 
 def closed(curve: FloatArray) -> FloatArray:
-    """The curve (2, n) with its first point again at its end."""
+    """The curve (2, n) with its first point repeated at the end."""
     return np.concatenate([curve, curve[:, :1]], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnPose:
-    """One estimate as it stands on the palms, seen from the hinge: angles (rad), points (2,) in m.
+    """The pose of one estimate relative to the hinge: angles (rad), points (2,) in m.
 
-    directions: of the palms at the hinge. curvatures: of the palms (1/m).
+    directions: angles of the palms at the hinge. curvatures: of the palms (1/m).
     """
 
     t: float
@@ -51,7 +51,7 @@ class DrawnPose:
     curvatures: tuple[float, ...]
 
     def palms(self, length: float) -> list[FloatArray]:
-        """The palms from the hinge on, as lines (2, n) of that length (m); arcs no longer than a quarter turn."""
+        """The palms as lines (2, n) of `length` (m) from the hinge; curved ones of at most a quarter turn."""
         joints = [angle - before for before, angle in pairwise((0.0, *self.directions))]
         lengths = [min(length, 0.5 * math.pi / abs(kappa)) if kappa else length for kappa in self.curvatures]
         along = [np.linspace(0.0, each, _ARC_POINTS if any(self.curvatures) else 2) for each in lengths]
@@ -59,38 +59,40 @@ class DrawnPose:
 
 
 def pose_at(series: Series, number: int) -> DrawnPose:
-    """The estimate of that number: n_i·(c − p_i) = r_i with p_i the contacts, s_i along each palm (section 3.1)."""
+    """The pose of estimate `number`: solves n_i·(c − p_i) = r_i, contacts p_i at s_i on the palms (section 3.1)."""
     t, estimate, curvatures = series.estimate.t, series.estimate, series.run.rig.curvatures
-    angles, radii, places = (
+    angles, radii, distances = (
         [float(estimate[f"{name}_{unit}"][number]) for name in names]
         for names, unit in ((JOINTS, "rad"), (RADII, "m"), (CONTACTS, "m"))
     )
-    contacts = palm_points(angles, places, curvatures)
-    ways = [np.array([math.cos(angle), math.sin(angle)]) for angle in directions(tangents(angles, places, curvatures))]
-    inward = np.array([side * np.array([-way[1], way[0]]) for side, way in zip(SIDES, ways, strict=True)])
-    off = [r + normal @ contact for r, normal, contact in zip(radii, inward, contacts, strict=True)]
-    centre = np.linalg.solve(inward, np.array(off)) if np.linalg.det(inward) else np.full(2, math.nan)
+    contacts = palm_points(angles, distances, curvatures)
+    along = [
+        np.array([math.cos(angle), math.sin(angle)]) for angle in directions(tangents(angles, distances, curvatures))
+    ]
+    inward = np.array([side * np.array([-way[1], way[0]]) for side, way in zip(SIDES, along, strict=True)])
+    offsets = [r + normal @ contact for r, normal, contact in zip(radii, inward, contacts, strict=True)]
+    centre = np.linalg.solve(inward, np.array(offsets)) if np.linalg.det(inward) else np.full(2, math.nan)
     psi = float(estimate["psi_rad"][number])
     return DrawnPose(float(t[number]), directions(angles), psi, centre, tuple(contacts), curvatures)
 
 
-def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:
-    """Both contacts of these estimates in the object's frame (2, 2n): what an observer without a shape has of it."""
-    felt = []
+def contact_points(series: Series, numbers: Iterable[int]) -> FloatArray:
+    """Both contacts of the given estimates in the object's frame (2, 2n); the outline for observers without a shape."""
+    contacts = []
     for number in numbers:
         pose = pose_at(series, int(number))
         both = np.stack(pose.contacts, axis=1) - pose.centre[:, None]
-        felt.append(turned(both, -pose.psi))
-    return np.concatenate(felt, axis=1) if felt else np.zeros((2, 0))
+        contacts.append(turned(both, -pose.psi))
+    return np.concatenate(contacts, axis=1) if contacts else np.zeros((2, 0))
 
 
 def frames(series: Series, most: int) -> tuple[int, ...]:
-    """Numbers of up to `most` valid and finite estimates, spread as evenly over what was touched as over the time.
+    """Numbers of up to `most` valid and finite estimates, evenly spaced in time plus touched fraction (scaled to 1).
 
-    Between them grows the mean of both shares: where the outline grows fast there are more frames.
+    Frames are denser where the touched fraction grows fast.
     """
     names = ("psi_rad", *(f"{name}_rad" for name in JOINTS), *(f"{name}_m" for name in (*RADII, *CONTACTS)))
-    finite = np.all([np.isfinite(series.estimate[name]) for name in names], axis=0)  # a foreign observer's may not be
+    finite = np.all([np.isfinite(series.estimate[name]) for name in names], axis=0)  # user observers may publish NaN
     valid = np.flatnonzero(series.valid & finite)
     if not len(valid):
         return ()
@@ -102,7 +104,7 @@ def frames(series: Series, most: int) -> tuple[int, ...]:
 
 
 def outline_known(series: Series, t: float, number: int) -> OutlineAt | None:
-    """The last outline of that object told up to `t` (s)."""
+    """The last outline of object `number` published up to `t` (s); None if there is none."""
     known = [outline for outline in series.outlines if outline.t <= t + 1e-6 and outline.number == number]
     return known[-1] if known else None
 

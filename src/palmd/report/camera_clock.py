@@ -1,4 +1,4 @@
-"""By how much a camera's clock is off, from the angles alone: a scan over all offsets. Pure."""
+"""Offset of a camera's clock from the angles alone, by a scan over all offsets. Pure."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from palmd.events import FloatArray
 from palmd.report.camera_signals import Signals
 
 LAG_STEP_S, FINE_LAG_S = 0.02, 1e-3
-LEAST_OVERLAP_S = 1.0
-LEAST_SHARE = 0.5  # of the shorter record, that both must cover
-LEAST_MOTION_RAD = math.radians(2.0)
-FOLLOWS, PALMS_FOLLOW = 0.5, 0.95  # share of the scatter that the right clock explains at least, by what tells it
-RIVAL_S, RIVAL = 0.3, 2.0  # a clock this far away must leave so many times the scatter
-_SCANNED_ROWS = 500
-_CANDIDATES = 6
+MIN_OVERLAP_S = 1.0
+MIN_OVERLAP_FRACTION = 0.5  # fraction of the shorter record that must overlap
+MIN_MOTION_RAD = math.radians(2.0)
+MIN_EXPLAINED, MIN_EXPLAINED_BY_PALMS = (
+    0.5,
+    0.95,
+)  # smallest explained fraction of the scatter, with the object's and the palms' angles
+DISTINCT_S, MIN_RIVAL_RATIO = 0.3, 2.0  # an offset that differs by more must have a misfit larger by this factor
+_MAX_SCANNED_ROWS = 500
+_MAX_CANDIDATES = 6
 _MISTAKES = (
-    (-1.0, "but do with their sign changed: is the camera's y axis pointing down?"),
-    (180.0 / math.pi, "but do when multiplied by 57.3: are they in radians?"),
+    (-1.0, "but match with inverted sign: does the camera's y axis point down?"),
+    (180.0 / math.pi, "but match when multiplied by 57.3: are they in radians?"),
 )
 
 
@@ -28,47 +31,47 @@ class GroundTruthError(Exception):
     """The two records cannot be compared; the text says why and what to do."""
 
 
-def scanned(signals: Signals) -> float:
-    """The offset of the clock with which the angles follow best (s), to `FINE_LAG_S`.
+def scan_offset(signals: Signals) -> float:
+    """The clock offset (s) at which camera and log angles match best, to `FINE_LAG_S`.
 
-    Raises GroundTruthError when none does, or another one as well.
+    Raises GroundTruthError if no offset matches, or if it is ambiguous.
     """
     track, motion = signals.track, signals.motion
     rows = np.flatnonzero(signals.seen)
-    rows = rows[:: max(len(rows) // _SCANNED_ROWS, 1)]
-    if max(np.ptp(log) for _, log in signals.angles(rows)) < LEAST_MOTION_RAD:
-        raise GroundTruthError("no angle changes by more than 2 degrees: no clock can be found")
+    rows = rows[:: max(len(rows) // _MAX_SCANNED_ROWS, 1)]
+    if max(np.ptp(log) for _, log in signals.angles(rows)) < MIN_MOTION_RAD:
+        raise GroundTruthError("no angle changes by more than 2 degrees: the clock offset cannot be determined")
     t = track.t[rows]
     shorter = min(float(np.ptp(t)), float(np.ptp(motion.t)))
-    least = max(LEAST_SHARE * shorter, LEAST_OVERLAP_S)
-    if shorter < LEAST_OVERLAP_S:
-        raise GroundTruthError(f"the shorter record lasts {shorter:.2f} s; {LEAST_OVERLAP_S:g} s are needed")
+    least = max(MIN_OVERLAP_FRACTION * shorter, MIN_OVERLAP_S)
+    if shorter < MIN_OVERLAP_S:
+        raise GroundTruthError(f"the shorter record lasts {shorter:.2f} s; {MIN_OVERLAP_S:g} s are needed")
     lags = np.arange(motion.t[0] - t[-1] + least, motion.t[-1] - t[0] - least + LAG_STEP_S, LAG_STEP_S)
     (misfit, lag), *others = _minima(signals, rows, lags, 1.0)
-    for scale, what in _MISTAKES:
-        if _minima(signals, rows, lags, scale)[0][0] < misfit / RIVAL:
-            raise GroundTruthError(f"the camera's angles do not follow, {what}")
-    if misfit > 1.0 - (FOLLOWS if signals.palms is None else PALMS_FOLLOW):
+    for scale, hint in _MISTAKES:
+        if _minima(signals, rows, lags, scale)[0][0] < misfit / MIN_RIVAL_RATIO:
+            raise GroundTruthError(f"the camera's angles do not match the log, {hint}")
+    if misfit > 1.0 - (MIN_EXPLAINED if signals.palms is None else MIN_EXPLAINED_BY_PALMS):
         raise GroundTruthError(
-            f"no offset of the clock makes the angles follow, the best explains {max(1 - misfit, 0):.0%}: "
+            f"the angles match at no clock offset; the best explains {max(1 - misfit, 0):.0%}: "
             "is this the track of this run, and do both overlap in time?"
         )
     for rival, other in others:
-        if rival < RIVAL * misfit and abs(other - lag) > RIVAL_S:
+        if rival < MIN_RIVAL_RATIO * misfit and abs(other - lag) > DISTINCT_S:
             raise GroundTruthError(
-                f"the clock is ambiguous: offsets of {lag:.2f} s and {other:.2f} s fit alike; "
-                "compare a run that repeats itself less"
+                f"the clock offset is ambiguous: {lag:.2f} s and {other:.2f} s fit equally well; "
+                "compare a run with less periodic motion"
             )
     return lag
 
 
 def _minima(signals: Signals, rows: npt.NDArray[np.intp], lags: FloatArray, scale: float) -> list[tuple[float, float]]:
-    """(misfit, offset) where the misfit is least, best first, each refined to `FINE_LAG_S`."""
+    """(misfit, offset) at the local minima of the misfit, best first, each refined to `FINE_LAG_S`."""
     coarse = _misfits(signals, rows, lags, scale)
     edges = np.concatenate([[np.inf], coarse, [np.inf]])
     found = np.flatnonzero((coarse <= edges[:-2]) & (coarse <= edges[2:]))
     refined = []
-    for i in found[np.argsort(coarse[found])][:_CANDIDATES]:
+    for i in found[np.argsort(coarse[found])][:_MAX_CANDIDATES]:
         fine = np.arange(lags[i] - LAG_STEP_S, lags[i] + LAG_STEP_S, FINE_LAG_S)
         misfit = _misfits(signals, rows, fine, scale)
         refined.append((float(misfit.min()), float(fine[misfit.argmin()])))
@@ -76,24 +79,24 @@ def _minima(signals: Signals, rows: npt.NDArray[np.intp], lags: FloatArray, scal
 
 
 def _misfits(signals: Signals, rows: npt.NDArray[np.intp], lags: FloatArray, scale: float) -> FloatArray:
-    """For each offset, what the log leaves of the camera's angles, both about their mean: 0 nothing, 1 all of it.
+    """For each offset the unexplained fraction of the scatter of the camera's angles: 0 for a perfect match, 1 if none.
 
-    Angles have branches, so that their scatter is 1 − |mean e^{i·angle}|, half the variance when small.
+    The scatter of angles, which are periodic, is 1 − |mean e^{i·angle}|, half the variance if small.
     """
     t, channels = signals.track.t[rows], signals.angles(rows)
     t_log = signals.motion.t
     misfit = np.ones(len(lags))
     for i, lag in enumerate(lags):
         inside = (t + lag >= t_log[0]) & (t + lag <= t_log[-1]) & signals.known_at(t + lag)
-        left = all_of_it = 0.0
+        unexplained = total = 0.0
         for camera, log in channels:
-            told = inside & np.isfinite(camera)
-            if told.sum() > 2:
-                still = scale * camera[told]
-                left += _scatter(still - np.interp(t[told] + lag, t_log, log))
-                all_of_it += _scatter(still)
-        if all_of_it > 0.0:
-            misfit[i] = left / all_of_it
+            known = inside & np.isfinite(camera)
+            if known.sum() > 2:
+                angle = scale * camera[known]
+                unexplained += _scatter(angle - np.interp(t[known] + lag, t_log, log))
+                total += _scatter(angle)
+        if total > 0.0:
+            misfit[i] = unexplained / total
     return misfit
 
 

@@ -1,4 +1,4 @@
-"""A reconstructed motion and a camera's track of the same run, as functions of time. Pure."""
+"""A reconstructed motion and a camera's track of the same run as functions of time. Pure."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from scipy.interpolate import CubicSpline
 from palmd.events import FloatArray, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.record.resultfile import Result
-from palmd.record.track import LEAST_ROWS, CameraTrack
+from palmd.record.track import MIN_ROWS, CameraTrack
 from palmd.system.description import RigDescription
 
-GAP_S = 0.1  # of the reconstruction: nothing is made up across more
+GAP_S = 0.1  # longest gap in the reconstruction that is interpolated
 
 Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class KnownMotion:
-    """The run as palmd knows it at times t (n, s): psi (rad); com (n, 2) in m and palms φ1, φ12 (n, 2) with a log."""
+    """The reconstructed motion at times t (n, s): psi (rad); with a log com (n, 2) in m and palms φ1, φ12 (n, 2)."""
 
     t: FloatArray
     psi: FloatArray
@@ -30,7 +30,7 @@ class KnownMotion:
 
 
 def motion_of(result: Result, rig: RigDescription | None, palms: list[PalmSample]) -> KnownMotion:
-    """The reconstructed motion, its centre of mass in the world where the log's palm angles are given."""
+    """The reconstructed motion; with the log's palm angles also the centre of mass in the world frame."""
     if rig is None or not palms:
         return KnownMotion(result.t, result.psi, None, None)
     angles = smoothed_path(palms, rig.palm_angle_noise).at(result.t)[:, :2]
@@ -60,25 +60,25 @@ class Signals:
         self.com = None if motion.com is None else CubicSpline(motion.t, motion.com)
         self.palms = None
         self.seen = np.isfinite(track.angle)
-        if motion.palms is not None and (np.isfinite(track.palms) & self.seen[:, None]).sum() >= LEAST_ROWS:
+        if motion.palms is not None and (np.isfinite(track.palms) & self.seen[:, None]).sum() >= MIN_ROWS:
             self.palms = CubicSpline(motion.t, motion.palms)
         self._gaps = np.flatnonzero(np.diff(motion.t) > GAP_S)
 
     def known_at(self, log_t: FloatArray) -> Bools:
-        """Where the reconstruction tells something, and no gap is bridged."""
+        """Whether each time lies outside the gaps of the reconstruction."""
         known = np.ones(len(log_t), dtype=np.bool_)
         for i in self._gaps:
             known &= ~((log_t > self.motion.t[i]) & (log_t < self.motion.t[i + 1]))
         return known
 
     def gaps(self) -> list[tuple[float, float]]:
-        """Spans of log time that the reconstruction leaves out."""
+        """The gaps of the reconstruction as spans of log time."""
         return [(float(self.motion.t[i]), float(self.motion.t[i + 1])) for i in self._gaps]
 
     def angles(self, rows: npt.NDArray[np.intp]) -> list[tuple[FloatArray, FloatArray]]:
-        """What tells the clock: the camera's angle on the rows, and the log's on `motion.t`.
+        """Angles that determine the clock: pairs of the camera's on the given rows and the log's on `motion.t`.
 
-        The palms where the camera sees them, since the log knows them whatever the reconstruction is worth.
+        The palms' angles if the camera sees them, as the log has them independently of the reconstruction; else ψ.
         """
         if self.palms is None or self.motion.palms is None:
             return [(self.track.angle[rows], self.motion.psi)]

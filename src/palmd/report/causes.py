@@ -1,7 +1,7 @@
-"""What made it hold or stop, from a run's course and the ticks around: a cause with its evidence. Pure.
+"""Root cause of a hold or stop, with its evidence, from a run's timeline and the ticks around it. Pure.
 
-A fault says what was noticed; the cause is what lies behind it: a pad that is silent may be mute, speak another
-language, or have been kept waiting by palmd itself.
+A fault is a symptom; the cause is what produced it: a pad that is silent may send nothing, send data of another format,
+or have been starved because palmd itself got no processor time.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from palmd.devices.pad import SILENT_INTERVALS, pad_counter_names
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
-from palmd.record import ANOTHER, ASKED, SILENT, STARTER_GONE
-from palmd.report.course import Closeup, Course, StateChange
+from palmd.record import DAEMON_RESTARTED, DAEMON_SILENT, PARENT_GONE, REQUESTED
+from palmd.report.timeline import Closeup, StateChange, Timeline
 
 CauseKind = Literal[
     "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
@@ -29,60 +29,60 @@ CauseKind = Literal[
 ]  # fmt: skip
 
 STALL_S = 0.1
-"""Ticks that are so far apart make pads look silent, and the controller (48 ms) go without set-points."""
+"""Interval between ticks from which on pads seem silent and the controller (48 ms) runs out of set-points."""
 
 RIG_STALL_S = 0.04
-"""And so long without a word of an emulated rig make it look silent, or its controller go without set-points."""
+"""Stall of an emulated rig from which on it seems silent or its controller runs out of set-points."""
 
 PAUSE_S = 0.04
-"""And ticks so far apart make the controller hold for a moment."""
+"""Interval between ticks from which on the controller holds briefly."""
 
-STALLED_BEFORE_S, STALL_READING_S = 0.1, 0.03
-NEAR_S, SOON_S = 0.6, 0.05
-BREAK_S = 15.0  # after its end, within which the next recording tells what was wrong
-"""A cause is looked for so long before its effect."""
+STALL_BEFORE_S, STALL_READING_S = 0.1, 0.03
+BEFORE_FAULT_S, AFTER_FAULT_S = 0.6, 0.05
+"""A log entry is evidence for a fault if it lies within this time before and after it."""
+SUCCESSOR_S = 15.0  # after the end of a recording the next one may hold the reason
 
-ARM_QUIET_S = 0.1  # without an answer: six of its cycles
-LINE_BYTES = 30  # of an answer of the arm, its line end included
-ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
+ARM_QUIET_S = 0.1  # without an answer: six cycles of the arm
+LINE_BYTES = 30  # length of an answer of the arm, including its line end
+FOREIGN_LINE_RATIO = 3.0  # in data of other devices line ends are rarer by this factor
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
 _BUS = ("arm_bytes", "arm_packets", "arm_crc_errors", "arm_discarded")
-DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # of a bus's bytes that are in no packet
-SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
-DISCARDED_BYTES = 24  # of a second, in which a few may be lost at any time
-BABBLE_S = 0.2  # of bytes without a packet: somebody else speaks
+DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # fraction of a bus's bytes outside packets that shows damage, foreign data
+MIN_PACKET_BYTES, MIN_LINE_BYTES = 8, 31  # fewer bytes may be the rest of a packet, or of a line
+DISCARDED_BYTES = 24  # per second; fewer are normal losses
+FOREIGN_DATA_S = 0.2  # of bytes without a packet: another device sends
 COMMANDED = "_cmd_"
-TOGETHER_S = 0.15  # both pads left within so long: the object was lifted
+TOGETHER_S = 0.15  # longest time between the ends of contact on both pads if the object was lifted off
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
 
-_STATES: dict[str, tuple[CauseKind, str]] = {
+_ARM_STATES: dict[str, tuple[CauseKind, str]] = {
     "arm-estop": ("estop", "the arm's emergency stop was pressed"),
     "arm-power-off": ("power-off", "arm power went off"),
-    "arm-manual": ("manual", "somebody took the arm: its controller went to manual mode"),
+    "arm-manual": ("manual", "the arm's controller was switched to manual mode"),
     "arm-uncalibrated": ("uncalibrated", "the arm's controller lost its calibration"),
-    "arm-left-tracking": ("left", "the arm's controller stopped following by itself"),
+    "arm-left-tracking": ("left", "the arm's controller left tracking without a command"),
 }
 _ENDINGS = {
-    SILENT: "it was finished by its recorder, which heard nothing more of the daemon",
-    ANOTHER: "it was finished by its recorder when it heard that another daemon had begun",
-    STARTER_GONE: "it was finished by its recorder, which the daemon had started, when the daemon was gone",
+    DAEMON_SILENT: "its recorder finished it because no more messages came from the daemon",
+    DAEMON_RESTARTED: "its recorder finished it because another daemon had started",
+    PARENT_GONE: "its recorder finished it because the daemon, which had started the recorder, was gone",
 }
-_OWN: dict[str, tuple[CauseKind, str]] = {
+_DIRECT: dict[str, tuple[CauseKind, str]] = {
     "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
-    "estimate-not-finite": ("not-finite", "palmd's observer called an estimate valid that was not finite"),
-    "limits-violated": ("limits", "the palms were outside their limits, or the motion wanted to leave them"),
+    "estimate-not-finite": ("not-finite", "palmd's observer published an estimate as valid that was not finite"),
+    "limits-violated": ("limits", "the palms were outside their limits, or the motion would have left them"),
     "following-error": ("not-followed", "the arm did not follow its set-points: it was blocked, or its encoder fails"),
-    "pose-implausible": ("implausible", "the arm reported a pose that cannot be"),
-    "pose-contradicts-rig": ("contradicts", "the arm's pose cannot be one of the rig as configured"),
-    "force-limit": ("pressed", "something pressed on a pad harder than it may, or than the pad can tell"),
-    "force-excess": ("pressed", "something pressed on a pad with more than 1.5 times what it may"),
-    "loop-overruns": ("overruns", "palmd's control loop kept missing its deadline"),
+    "pose-implausible": ("implausible", "the arm reported an impossible pose"),
+    "pose-contradicts-rig": ("contradicts", "the arm's pose contradicts the configured rig"),
+    "force-limit": ("pressed", "the force on a pad exceeded its limit, or the range of the pad"),
+    "force-excess": ("pressed", "the force on a pad exceeded 1.5 times its limit"),
+    "loop-overruns": ("overruns", "palmd's control loop repeatedly missed its deadline"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Clue:
-    """One thing that speaks for a cause, and the topic of the recording that it stands in."""
+    """One piece of evidence for a cause, and the topic of the recording that holds it."""
 
     where: str
     what: str
@@ -90,7 +90,7 @@ class Clue:
 
 @dataclass(frozen=True, slots=True)
 class StopCause:
-    """What lies behind: its kind, whose it is (`pad1`, `arm`, or empty), one sentence, and what speaks for it."""
+    """A root cause: its kind, the device (`end`: `pad1`, `arm`, or empty), one sentence, and the evidence."""
 
     kind: CauseKind
     end: str
@@ -99,31 +99,31 @@ class StopCause:
 
     @property
     def name(self) -> str:
-        """CauseKind and whose, in one word."""
+        """Device and kind in one word."""
         return f"{self.end}-{self.kind}" if self.end else self.kind
 
 
 @dataclass(frozen=True, slots=True)
 class RunCase:
-    """All there is to judge by: the run's course, the ticks around, the configuration, its system's topics."""
+    """Input of the analysis: the run's timeline, the ticks around the fault, the configuration, the system's topics."""
 
-    course: Course
+    timeline: Timeline
     closeup: Closeup
     config: Any
     topics: SystemTopics
 
     @property
     def commanded(self) -> tuple[str, ...]:
-        """The fields of the motion that tell what is commanded."""
+        """The motion fields with commanded values."""
         return tuple(each.name for each in self.topics.motion.quantities if COMMANDED in each.name)
 
     @property
-    def pads(self) -> int:
-        """How many there are."""
+    def pad_count(self) -> int:
+        """Number of pads."""
         return sum(each.name.startswith("touch") for each in self.topics.contact.quantities)
 
-    def places(self, motion: Fields) -> str:
-        """Where the joints or axes stand, as people are told it."""
+    def joint_text(self, motion: Fields) -> str:
+        """The positions of joints or axes as text."""
         names = (each.replace(COMMANDED, "_") for each in self.commanded)
         return ", ".join(
             f"{name.removesuffix('_rad')} {math.degrees(motion[name]):.1f}°"
@@ -132,14 +132,19 @@ class RunCase:
         )  # fmt: skip
 
     def rel(self, t: float) -> str:
-        """A time as people are told it."""
-        return f"{t - self.course.begin:.2f} s"
+        """A time as text, relative to the beginning of the run."""
+        return f"{t - self.timeline.begin:.2f} s"
 
     def logged(self, kind: str, name: str, t: float) -> LogEntry | None:
-        """The log's entry of that kind and name nearest before `t`, as it came; None where there is none."""
-        each = (entry for entry in reversed(self.course.log) if entry.kind == kind and entry.name == name)
+        """The latest log entry of this kind and name around `t` that reports a beginning; None if there is none."""
+        entries = (entry for entry in reversed(self.timeline.log) if entry.kind == kind and entry.name == name)
         return next(
-            (entry for entry in each if math.isnan(entry.lasted_s) and t - NEAR_S < entry.t_s <= t + SOON_S), None
+            (
+                entry
+                for entry in entries
+                if math.isnan(entry.lasted_s) and t - BEFORE_FAULT_S < entry.t_s <= t + AFTER_FAULT_S
+            ),
+            None,
         )
 
 
@@ -147,34 +152,34 @@ class RunCase:
 
 
 def of_fault(case: RunCase, codes: Sequence[str], t: float) -> StopCause:
-    """What lies behind the faults that came up at `t` and act; the first that explains them, with its evidence."""
+    """The cause of the faults that came up at `t` and acted: the first rule that explains them, with its evidence."""
     stall = _stall(case, t, STALL_S)
     if stall is not None and all(_by_stall(case, code, stall, t) for code in codes):
         return stall.cause
-    rig = _rig_stall(case, t)
-    if rig is not None and all(_by_rig_stall(code) for code in codes):
-        return rig
+    rig_stall = _rig_stall(case, t)
+    if rig_stall is not None and all(_by_rig_stall(code) for code in codes):
+        return rig_stall
     order: tuple[tuple[Callable[[str], bool], Callable[[RunCase, str, float], StopCause]], ...] = (
-        (lambda code: code in _OWN, _own),
+        (lambda code: code in _DIRECT, _direct_cause),
         (lambda code: code.endswith("-port"), _port),
-        (lambda code: code in _STATES and code != "arm-left-tracking", _arm_state),
+        (lambda code: code in _ARM_STATES and code != "arm-left-tracking", _arm_state),
         (lambda code: code.startswith("arm-servo-"), _servo),
         (lambda code: code == "arm-fault", _controller),
         (lambda code: code == "arm-link-lost", _link),
         (lambda code: code.endswith("-lifted"), _lifted),
         (lambda code: code.endswith("-silent"), _silent),
-        (lambda code: code in _STATES, _arm_state),
+        (lambda code: code in _ARM_STATES, _arm_state),
     )
-    for fits, told in order:
+    for applies, cause_of in order:
         for code in codes:
-            if fits(code):
-                return told(case, code, t)
+            if applies(code):
+                return cause_of(case, code, t)
     code = codes[0]
-    return StopCause("fault", "", TABLE[code].text if code in TABLE else code, _said(case, code, t))
+    return StopCause("fault", "", TABLE[code].text if code in TABLE else code, _logged_evidence(case, code, t))
 
 
-def _said(case: RunCase, code: str, t: float) -> tuple[Clue, ...]:
-    """What the daemon itself gave as its evidence."""
+def _logged_evidence(case: RunCase, code: str, t: float) -> tuple[Clue, ...]:
+    """The daemon's own evidence for a fault, from its log."""
     entry = case.logged("fault", code, t)
     return () if entry is None else (Clue("palm/log", f"{code}: {entry.text}"),)
 
@@ -187,7 +192,7 @@ class _Stall:
 
 
 def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
-    """Whether a loop that stood still explains a fault: what it says was not so before."""
+    """Whether a stall of the loop explains a fault that did not exist before the stall."""
     if code.endswith("-silent"):
         before = [true for fed, true in case.closeup.readings.get(int(code[3]), []) if fed <= t]
         return bool(before) and before[-1] > stall.begin - STALL_READING_S
@@ -198,252 +203,260 @@ def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
 
 
 def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
-    """Whether palmd's own loop stood still just before `t`: a long step between ticks none of which is missing."""
+    """A stall of palmd's own loop just before `t`: a long interval between consecutive ticks."""
     ticks = case.closeup.motion
     numbered = zip(pairwise(ticks), pairwise(case.closeup.numbers), strict=True)
     for ((t0, _), (t1, _)), (number0, number1) in numbered:
-        if t1 - t0 >= least_s and t - STALLED_BEFORE_S < t1 <= t + 0.02 and number1 == number0 + 1:
-            said = (
+        if t1 - t0 >= least_s and t - STALL_BEFORE_S < t1 <= t + 0.02 and number1 == number0 + 1:
+            text = (
                 f"ticks {number0} and {number1} are {(t1 - t0) * 1e3:.0f} ms apart, at {case.rel(t0)} and "
                 f"{case.rel(t1)}; the period is {1e3 / case.config.loop.rate_hz:.0f} ms"
             )
             sentence = (
-                f"palmd itself stood still for {(t1 - t0) * 1e3:.0f} ms: it got no processor, so no set-point went "
-                "out and nothing was read"
+                f"palmd itself stalled for {(t1 - t0) * 1e3:.0f} ms: it got no processor time, so it sent no "
+                "set-points and read no data"
             )
-            evidence = (Clue(case.topics.motion.name, said), *_said(case, "loop-overrun", t1))
+            evidence = (Clue(case.topics.motion.name, text), *_logged_evidence(case, "loop-overrun", t1))
             return _Stall(t0, t1, StopCause("stalled", "", sentence, evidence))
     return None
 
 
 def _rig_stall(case: RunCase, t: float) -> StopCause | None:
-    """Whether an emulated rig stood still just before `t`, as it says itself."""
-    near = [(end, lasted) for end, lasted in case.closeup.rig_stalls if end - lasted < t < end + NEAR_S]
+    """A stall of an emulated rig just before `t`, which the rig itself publishes."""
+    near = [(end, lasted) for end, lasted in case.closeup.rig_stalls if end - lasted < t < end + BEFORE_FAULT_S]
     if not near:
         return None
     end, lasted = max(near, key=lambda each: each[1])
     if lasted < RIG_STALL_S:
         return None
     sentence = (
-        f"the emulated rig itself stood still for {lasted * 1e3:.0f} ms: it got no processor, so nothing came from "
-        "pads and arm, which a real rig would not do"
+        f"the emulated rig itself stalled for {lasted * 1e3:.0f} ms: it got no processor time, so no data came from "
+        "pads and arm; this cannot happen with a real rig"
     )
-    said = f"it went on at {case.rel(end)} after {lasted * 1e3:.0f} ms, by its own clock"
-    return StopCause("rig-stalled", "", sentence, (Clue("rig/stall", said),))
+    text = f"it continued at {case.rel(end)} after {lasted * 1e3:.0f} ms, by its own clock"
+    return StopCause("rig-stalled", "", sentence, (Clue("rig/stall", text),))
 
 
 def _by_rig_stall(code: str) -> bool:
-    """Whether an emulated rig that stood still explains a fault."""
+    """Whether a stall of an emulated rig explains a fault."""
     return code.endswith("-silent") or code in ("arm-fault", "arm-link-lost", "arm-left-tracking", "arm-servo-watchdog")
 
 
-def _own(case: RunCase, code: str, t: float) -> StopCause:
-    kind, sentence = _OWN[code]
-    evidence = [*_said(case, code, t)]
+def _direct_cause(case: RunCase, code: str, t: float) -> StopCause:
+    kind, sentence = _DIRECT[code]
+    evidence = [*_logged_evidence(case, code, t)]
     motion = case.closeup.last_motion(t)
     if code == "limits-violated" and motion:
-        evidence.append(Clue(case.topics.motion.name, f"the palms stood at {case.places(motion)}"))
-    return StopCause(kind, "", sentence, tuple(evidence or [Clue("palm/state", f"{code} stood from {case.rel(t)}")]))
+        evidence.append(Clue(case.topics.motion.name, f"the palms were at {case.joint_text(motion)}"))
+    return StopCause(kind, "", sentence, tuple(evidence or [Clue("palm/state", f"{code} from {case.rel(t)} on")]))
 
 
 def _port(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-port")
-    evidence = [*_said(case, code, t)]
-    gained = case.course.gained(t, f"{end}_port_losses")
-    if gained is not None and gained[2][f"{end}_port_losses"]:
-        evidence.append(Clue("palm/loop", f"{end}_port_losses grew {_between(case, gained)}"))
+    evidence = [*_logged_evidence(case, code, t)]
+    growth = case.timeline.counter_growth(t, f"{end}_port_losses")
+    if growth is not None and growth[2][f"{end}_port_losses"]:
+        evidence.append(Clue("palm/loop", f"{end}_port_losses grew {_between(case, growth)}"))
     device = (case.config.arm if end == "arm" else getattr(case.config.pads, f"palm{end[-1]}")).port
-    sentence = f"the serial port of {_named(end)} was gone: {device} could not be read any more"
+    sentence = f"the serial port of {_device_name(end)} was lost: {device} could no longer be read"
     return StopCause("port", end, sentence, (*evidence, Clue("palm/state", f"{code} from {case.rel(t)} on")))
 
 
 def _arm_state(case: RunCase, code: str, t: float) -> StopCause:
-    kind, sentence = _STATES[code]
-    return StopCause(kind, "arm", sentence, (*_letter(case, t), *_said(case, code, t)))
+    kind, sentence = _ARM_STATES[code]
+    return StopCause(kind, "arm", sentence, (*_state_letter_change(case, t), *_logged_evidence(case, code, t)))
 
 
-def _letter(case: RunCase, t: float) -> tuple[Clue, ...]:
-    """When the controller's state letter changed last, up to `t`."""
+def _state_letter_change(case: RunCase, t: float) -> tuple[Clue, ...]:
+    """The last change of the controller's state letter up to `t`."""
     letters = [(when, fields["arm_state"]) for when, fields in case.closeup.motion if when <= t + 0.02]
     for (_, before), (when, now) in reversed([*pairwise(letters)]):
         if before != now:
-            said = f"the controller's state letter went from {before or 'unknown'} to {now or 'unknown'}"
-            return (Clue(case.topics.motion.name, f"{said} at {case.rel(when)}"),)
+            text = f"the controller's state letter changed from {before or 'unknown'} to {now or 'unknown'}"
+            return (Clue(case.topics.motion.name, f"{text} at {case.rel(when)}"),)
     return ()
 
 
 def _controller(case: RunCase, code: str, t: float) -> StopCause:
-    """The controller has latched a fault: by its own code, or by how long the line was dead before."""
+    """Cause of a fault latched by the controller: from its error code, or from how long the line was dead before."""
     entry = case.logged("fault", code, t)
-    said = "" if entry is None else entry.text
-    evidence = (*_letter(case, t), *_said(case, code, t))
-    if "-0504" in said:
+    text = "" if entry is None else entry.text
+    evidence = (*_state_letter_change(case, t), *_logged_evidence(case, code, t))
+    if "-0504" in text:
         return StopCause(
             "break", "arm", "there was a break on the arm's line: its controller latched error -504", evidence
         )
     line = _link(case, code, t)
     if line.kind in ("damaged", "foreign"):
         return line
-    silent_ms = _oldest(case, "arm_age_ms", t)
-    if silent_ms >= ARM_QUIET_S * 1e3 or "-0600" in said:
+    silent_ms = _oldest_ms(case, "arm_age_ms", t)
+    if silent_ms >= ARM_QUIET_S * 1e3 or "-0600" in text:
         quiet = Clue(case.topics.contact.name, f"the arm's last answer was up to {silent_ms:.0f} ms old before that")
         sentence = (
-            f"the arm's controller had no set-point for {CONTROLLER_WATCHDOG_MS} ms, stopped and latched error -600: "
-            f"the line was dead, while palmd sent one every {SETPOINT_MS} ms"
+            f"the arm's controller received no set-point for {CONTROLLER_WATCHDOG_MS} ms, stopped and latched error "
+            f"-600: the line was dead, while palmd sent a set-point every {SETPOINT_MS} ms"
         )
         return StopCause("watchdog", "arm", sentence, (quiet, *evidence))
-    if said:
+    if text:
         return StopCause("controller", "arm", "the arm's controller latched a fault of its own", evidence)
     return StopCause(
         "controller",
         "arm",
-        "the arm's controller latched a fault while the line was alive: a break, or its own",
+        "the arm's controller latched a fault while the line was alive: a break, or an internal fault",
         evidence,
     )
 
 
 def _servo(case: RunCase, code: str, t: float) -> StopCause:
-    """A servo says itself what is wrong with it, or has heard nothing for so long that it stopped."""
-    said = _said(case, code, t)
+    """Cause of a servo fault: reported by the servo itself, or a watchdog that expired without set-points."""
+    logged = _logged_evidence(case, code, t)
     if code != "arm-servo-watchdog":
-        sentence = f"{TABLE[code].text}: the servo says so itself"
-        return StopCause("servo", "arm", sentence, said or (Clue("palm/state", f"{code} from {case.rel(t)} on"),))
+        sentence = f"{TABLE[code].text}, as reported by the servo itself"
+        return StopCause("servo", "arm", sentence, logged or (Clue("palm/state", f"{code} from {case.rel(t)} on"),))
     line = _bus(case, code, t)
     if line.kind != "late":
         return line
-    sentence = f"{TABLE[code].text}, while palmd sent it one every cycle: the adapter or the line held them back"
+    sentence = f"{TABLE[code].text}, while palmd sent one every cycle: the adapter or the line delayed them"
     return StopCause("watchdog", "arm", sentence, line.evidence)
 
 
 def _link(case: RunCase, code: str, t: float) -> StopCause:
-    """The arm does not answer: nothing comes, or nothing that can be read."""
+    """Cause of missing answers of the arm: no data, or unreadable data."""
     return (_bus if case.config.arm.kind == "dynamixel" else _line)(case, code, t)
 
 
 def _bus(case: RunCase, code: str, t: float) -> StopCause:
-    """The same of a bus of servos, whose packets begin with a mark: what comes is theirs, or has none."""
-    age_ms = _oldest(case, "arm_age_ms", t)
+    """As `_link` for a bus of servos, whose packets begin with a header."""
+    age_ms = _oldest_ms(case, "arm_age_ms", t)
     evidence = [
         Clue(
             case.topics.contact.name,
-            f"the servos had answered last {age_ms:.0f} ms before; after 250 ms the bus counts as lost",
+            f"the servos' last answer was {age_ms:.0f} ms old; after 250 ms the bus counts as lost",
         )
     ]
-    came = spoilt = marked = 0.0
-    for gained in {g[0]: g for at in (t - 0.25, t, t + 1.0) if (g := case.course.gained(at, *_BUS))}.values():
-        read, packets, wrong, discarded = (gained[2][name] for name in _BUS)
-        told = f"{read:.0f} bytes came, {packets:.0f} whole packets, {wrong:.0f} of a wrong checksum"
-        evidence.append(Clue("palm/loop", f"{told}, {discarded:.0f} bytes in none {_between(case, gained)}"))
-        came, spoilt, marked = came + read, spoilt + discarded, marked + wrong
-    proof = (*evidence, *_said(case, code, t))
-    if not came:
-        return StopCause("mute", "arm", "nothing came from the servos any more", proof)
-    if spoilt > FOREIGN_SHARE * came and not marked:
-        sentence = "what came from the servos' line was no answer: another device, or another baud rate"
+    total = outside = checksum_errors = 0.0
+    for growth in {g[0]: g for at in (t - 0.25, t, t + 1.0) if (g := case.timeline.counter_growth(at, *_BUS))}.values():
+        read, packets, wrong, discarded = (growth[2][name] for name in _BUS)
+        counts = f"received {read:.0f} bytes, {packets:.0f} complete packets, {wrong:.0f} with a wrong checksum"
+        evidence.append(Clue("palm/loop", f"{counts}, {discarded:.0f} bytes outside packets {_between(case, growth)}"))
+        total, outside, checksum_errors = total + read, outside + discarded, checksum_errors + wrong
+    proof = (*evidence, *_logged_evidence(case, code, t))
+    if not total:
+        return StopCause("mute", "arm", "the servos sent no more data", proof)
+    if outside > FOREIGN_SHARE * total and not checksum_errors:
+        sentence = "the data on the servos' line were not answers: another device, or another baud rate"
         return StopCause("foreign", "arm", sentence, proof)
-    if spoilt > DAMAGED_SHARE * came:
-        return StopCause("damaged", "arm", "much of what came from the servos was damaged", proof)
+    if outside > DAMAGED_SHARE * total:
+        return StopCause("damaged", "arm", "much of the data from the servos was damaged", proof)
     if code == "arm-link-lost":
-        return StopCause("mute", "arm", "not all servos answered any more", proof)
+        return StopCause("mute", "arm", "some servos no longer answered", proof)
     return StopCause("late", "arm", "the servos answered late", proof)
 
 
 def _line(case: RunCase, code: str, t: float) -> StopCause:
-    """The same of a controller's line."""
-    age_ms = _oldest(case, "arm_age_ms", t)
+    """As `_link` for a controller's serial line."""
+    age_ms = _oldest_ms(case, "arm_age_ms", t)
     evidence = [
         Clue(
             case.topics.contact.name,
             f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost",
         )
     ]
-    windows = {gained[0]: gained for at in (t - 0.25, t, t + 1.0) if (gained := case.course.gained(at, *_LINE))}
+    windows = {
+        growth[0]: growth for at in (t - 0.25, t, t + 1.0) if (growth := case.timeline.counter_growth(at, *_LINE))
+    }
     excess = ends = 0.0
-    for gained in windows.values():
-        read, whole, wrong, alien = (gained[2][name] for name in _LINE)
-        told = (
-            f"{read:.0f} bytes came, {whole:.0f} whole lines, {wrong:.0f} of a wrong checksum, {alien:.0f} without any"
+    for growth in windows.values():
+        read, whole, wrong, unframed = (growth[2][name] for name in _LINE)
+        counts = (
+            f"received {read:.0f} bytes, {whole:.0f} complete lines, {wrong:.0f} with a wrong checksum, "
+            f"{unframed:.0f} without any"
         )
-        evidence.append(Clue("palm/loop", f"{told} {_between(case, gained)}"))
-        ends += wrong + alien
+        evidence.append(Clue("palm/loop", f"{counts} {_between(case, growth)}"))
+        ends += wrong + unframed
         excess = max(excess, read - LINE_BYTES * whole)
-    said = _said(case, code, t)
-    if _bytes_since(said) < SPOKE_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
-        return StopCause("mute", "arm", "nothing came from the arm's controller any more", (*evidence, *said))
-    if ends > 1.0 and excess < ALIEN_LINES * LINE_BYTES * ends:  # lines end where they should
-        sentence = "what came from the arm's controller was damaged: its lines came, and hardly one of them whole"
-        return StopCause("damaged", "arm", sentence, (*evidence, *said))
-    sentence = "what came from the arm's line was no answer: another device, or another baud rate"
-    return StopCause("foreign", "arm", sentence, (*evidence, *said))
+    logged = _logged_evidence(case, code, t)
+    if _bytes_since(logged) < MIN_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
+        return StopCause("mute", "arm", "the arm's controller sent no more data", (*evidence, *logged))
+    if ends > 1.0 and excess < FOREIGN_LINE_RATIO * LINE_BYTES * ends:  # line ends at the expected rate
+        sentence = "the data from the arm's controller were damaged: hardly any line was complete"
+        return StopCause("damaged", "arm", sentence, (*evidence, *logged))
+    sentence = "the data on the arm's line were not answers: another device, or another baud rate"
+    return StopCause("foreign", "arm", sentence, (*evidence, *logged))
 
 
 def _lifted(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-lifted")
     number = int(end[-1])
-    lifts = {pad: [true for _, true in told if abs(true - t) < NEAR_S] for pad, told in case.closeup.lifts.items()}
+    lifts = {
+        pad: [true for _, true in ends if abs(true - t) < BEFORE_FAULT_S] for pad, ends in case.closeup.lifts.items()
+    }
     here = min(lifts.get(number, [t]), key=lambda when: abs(when - t))
     others = [pad for pad, times in lifts.items() if pad != number and any(abs(w - here) < TOGETHER_S for w in times)]
     evidence = [
-        Clue(case.topics.events.name, f"pad {pad} told the end of its contact at {case.rel(when)}")
+        Clue(case.topics.events.name, f"pad {pad} reported the end of contact at {case.rel(when)}")
         for pad, times in sorted(lifts.items()) for when in times[-1:]
     ]  # fmt: skip
-    said = [each for pad in sorted({number, *others}) for each in _said(case, f"pad{pad}-lifted", t)]
+    logged = [each for pad in sorted({number, *others}) for each in _logged_evidence(case, f"pad{pad}-lifted", t)]
     if others:
-        which = "both pads" if case.pads == 2 else f"{1 + len(others)} of {case.pads} pads"
-        return StopCause("lifted", "", f"the object left {which} at once: it was lifted off", (*evidence, *said))
-    sentence = f"the object left pad {number}: the pad said so itself, by the bit for in use of its first byte"
-    return StopCause("lifted", end, sentence, (*evidence, *said))
+        which = "both pads" if case.pad_count == 2 else f"{1 + len(others)} of {case.pad_count} pads"
+        return StopCause("lifted", "", f"the object left {which} at once: it was lifted off", (*evidence, *logged))
+    sentence = f"the object left pad {number}, as reported by the in-use bit in the pad's first byte"
+    return StopCause("lifted", end, sentence, (*evidence, *logged))
 
 
 def _silent(case: RunCase, code: str, t: float) -> StopCause:
-    """A pad says nothing, or nothing that is a packet."""
+    """Cause of a silent pad: no data, or no valid packets."""
     end = code.removesuffix("-silent")
     evidence = [*_ages(case, int(end[-1]), t)]
-    said = _said(case, code, t)
+    logged = _logged_evidence(case, code, t)
     kind = getattr(case.config.pads, f"palm{end[-1]}").kind
     names = tuple(f"{end}_{name}" for name in pad_counter_names(kind) or ())
     lost = 0.0
-    if any("not even a damaged one's" in each.what for each in said):  # the daemon has judged byte by byte
-        sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
-        return StopCause("foreign", end, sentence, (*evidence, *said))
+    if any("not even a damaged one's" in each.what for each in logged):  # the daemon has checked byte by byte
+        sentence = f"the data on pad {end[-1]}'s line were not packets: another device, or another baud rate"
+        return StopCause("foreign", end, sentence, (*evidence, *logged))
     for at in (t, t + 1.0) if names else ():
-        gained = case.course.gained(at, *names)
-        if gained is None:
+        growth = case.timeline.counter_growth(at, *names)
+        if growth is None:
             continue
-        came, packets, discarded = (gained[2][name] for name in names)
-        told = f"{came:.0f} bytes came, {packets:.0f} packets, {discarded:.0f} bytes in none {_between(case, gained)}"
-        evidence.append(Clue("palm/loop", told))
+        read, packets, discarded = (growth[2][name] for name in names)
+        counts = (
+            f"received {read:.0f} bytes, {packets:.0f} packets, {discarded:.0f} bytes outside packets "
+            f"{_between(case, growth)}"
+        )
+        evidence.append(Clue("palm/loop", counts))
         lost = max(lost, discarded)
-    if _bytes_since(said) < SPOKE_BYTES if said else lost < DISCARDED_BYTES:
-        return StopCause("mute", end, f"nothing came from pad {end[-1]} any more", (*evidence, *said))
-    if case.course.stood(code, t) >= BABBLE_S:
-        sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"
-        return StopCause("foreign", end, sentence, (*evidence, *said))
-    sentence = f"so much of what pad {end[-1]} said was damaged that five packets in a row were missing"
-    return StopCause("damaged", end, sentence, (*evidence, *said))
+    if _bytes_since(logged) < MIN_PACKET_BYTES if logged else lost < DISCARDED_BYTES:
+        return StopCause("mute", end, f"pad {end[-1]} sent no more data", (*evidence, *logged))
+    if case.timeline.fault_duration(code, t) >= FOREIGN_DATA_S:
+        sentence = f"the data on pad {end[-1]}'s line were not packets: another device, or another baud rate"
+        return StopCause("foreign", end, sentence, (*evidence, *logged))
+    sentence = f"the data from pad {end[-1]} were damaged, so that five consecutive packets were missing"
+    return StopCause("damaged", end, sentence, (*evidence, *logged))
 
 
 def _ages(case: RunCase, pad: int, t: float) -> tuple[Clue, ...]:
-    """How old the pad's last reading was at `t`, and how old it might be."""
+    """Evidence: the age of the pad's last reading at `t`, and the limit."""
     before = [true for fed, true in case.closeup.readings.get(pad, []) if fed <= t]
     if len(before) < SILENT_INTERVALS:
         return ()
     mean_ms = fmean(b - a for a, b in pairwise(before[-20:])) * 1e3
-    told = (
+    text = (
         f"pad {pad}'s last reading was at {case.rel(before[-1])}, {(t - before[-1]) * 1e3:.0f} ms before; "
-        f"they had come every {mean_ms:.0f} ms, and the limit is {SILENT_INTERVALS} intervals"
+        f"readings had come every {mean_ms:.0f} ms, and the limit is {SILENT_INTERVALS} intervals"
     )
-    return (Clue(case.topics.events.name, told),)
+    return (Clue(case.topics.events.name, text),)
 
 
-def _oldest(case: RunCase, name: str, t: float) -> float:
-    ages = [float(fields[name]) for when, fields in case.closeup.contact if t - NEAR_S < when <= t + 0.02]
+def _oldest_ms(case: RunCase, name: str, t: float) -> float:
+    ages = [float(fields[name]) for when, fields in case.closeup.contact if t - BEFORE_FAULT_S < when <= t + 0.02]
     return max((age for age in ages if math.isfinite(age)), default=math.nan)
 
 
-def _bytes_since(said: Sequence[Clue]) -> int:
-    """How many bytes, and no whole line, the daemon says have come since the last good packet or answer."""
-    for each in said:
+def _bytes_since(logged: Sequence[Clue]) -> int:
+    """Bytes received since the last good packet or answer, parsed from the daemon's log; 0 if whole lines came."""
+    for each in logged:
         if "whole lines" in each.what and "with 0 whole lines" not in each.what:
             return 0
         words = each.what.split(" bytes have come since")[0].split()
@@ -452,11 +465,11 @@ def _bytes_since(said: Sequence[Clue]) -> int:
     return 0
 
 
-def _between(case: RunCase, gained: tuple[float, float, object]) -> str:
-    return f"between {case.rel(gained[0])} and {case.rel(gained[1])}"
+def _between(case: RunCase, growth: tuple[float, float, object]) -> str:
+    return f"between {case.rel(growth[0])} and {case.rel(growth[1])}"
 
 
-def _named(end: str) -> str:
+def _device_name(end: str) -> str:
     return "the arm" if end == "arm" else f"pad {end[-1]}"
 
 
@@ -464,111 +477,113 @@ def _named(end: str) -> str:
 
 
 def of_no_fault(case: RunCase, before: StateChange, now: StateChange) -> StopCause:
-    """What changed the state at `now` though no fault acts: a command, the end of palmd, the rig that went."""
+    """The cause of a change of state to `now` without an acting fault: a command, the end of palmd, or a lost rig."""
     entry = case.logged("state", now.state, now.t)
     evidence = () if entry is None else (Clue("palm/log", entry.text),)
     stopping = case.logged("palmd", "stopping", now.t)
     if stopping is not None:
-        return StopCause("ended", "", "palmd was told to end, and stopped the arm", (Clue("palm/log", stopping.text),))
+        return StopCause("ended", "", "palmd was shut down and stopped the arm", (Clue("palm/log", stopping.text),))
     if entry is not None and entry.who:
-        return StopCause("command", "", f"{entry.text.split(': ')[-1]}: somebody wanted it so", evidence)
+        return StopCause("command", "", f"{entry.text.split(': ')[-1]}: requested by a client", evidence)
     if now.state == "idle":
-        return StopCause("rig-gone", "", "a port or the arm's link was gone while the arm was not commanded", evidence)
+        return StopCause("rig-gone", "", "a port or the arm's link was lost while the arm was not commanded", evidence)
     command = {"hold": "hold", "ready": "stop"}.get(now.state, "command")
-    sentence = f"no fault acted: somebody gave the command {command}" + (", or palmd was ended" * (command == "stop"))
-    said = f"{before.state} -> {now.state} at {case.rel(now.t)}, and no fault that holds or stops"
-    return StopCause("command", "", sentence, (*evidence, Clue("palm/state", said)))
+    sentence = f"no fault acted: a client sent the command {command}" + (
+        ", or palmd was shut down" * (command == "stop")
+    )
+    text = f"{before.state} -> {now.state} at {case.rel(now.t)}, without a fault that holds or stops"
+    return StopCause("command", "", sentence, (*evidence, Clue("palm/state", text)))
 
 
-def of_damage(said: str, begin: str, end: str) -> StopCause:
-    """What happened lies in a part of the file that cannot be read, between these times."""
-    sentence = f"what happened between {begin} and {end} cannot be told: the file is damaged there"
-    return StopCause("damaged-file", "", sentence, (Clue("the file", said),))
+def of_damage(description: str, begin: str, end: str) -> StopCause:
+    """The cause is unknown because the file is damaged between the two times."""
+    sentence = f"unknown what happened between {begin} and {end}: the file is damaged there"
+    return StopCause("damaged-file", "", sentence, (Clue("the file", description),))
 
 
 def of_end(case: RunCase, *, being_written: bool = False) -> StopCause:
-    """The recording ends while the palms moved: the daemon has died, or its recorder."""
-    course, last = case.course, case.course.end
+    """The cause of a recording that ends during motion: the daemon or its recorder ended or crashed."""
+    timeline, last = case.timeline, case.timeline.end
     motion: Fields = case.closeup.last_motion(math.inf)
     evidence = [
-        Clue(case.topics.motion.name, f"its last message, at {case.rel(last)}, is in the middle of "
+        Clue(case.topics.motion.name, f"the last message, at {case.rel(last)}, is in the middle of "
                                 f"{motion.get('plan') or 'no plan'}, the arm in state {motion.get('arm_state')}")
     ]  # fmt: skip
-    if any(entry.name == "stopping" for entry in course.log[-3:]):
-        return StopCause("ended", "", "palmd was told to end", tuple(evidence))
-    if course.ending == ASKED:
-        evidence.append(Clue("the file", "it was finished by its recorder, which was asked to end"))
-        return StopCause("recorder-ended", "", "the recorder was told to end; palmd went on", tuple(evidence))
-    if course.complete:
-        evidence.append(Clue("the file", _ENDINGS.get(course.ending, _ENDINGS[SILENT])))
-        unless = "" if course.ending else ", unless its recorder alone was told to end"
+    if any(entry.name == "stopping" for entry in timeline.log[-3:]):
+        return StopCause("ended", "", "palmd was shut down", tuple(evidence))
+    if timeline.ending == REQUESTED:
+        evidence.append(Clue("the file", "its recorder finished it because it was stopped"))
+        return StopCause("recorder-ended", "", "the recorder was stopped; palmd continued", tuple(evidence))
+    if timeline.complete:
+        evidence.append(Clue("the file", _ENDINGS.get(timeline.ending, _ENDINGS[DAEMON_SILENT])))
+        unless = "" if timeline.ending else ", unless only its recorder was stopped"
         sentence = (
-            f"the daemon said nothing more, and no word of ending: it was killed or has crashed{unless}; "
+            f"the daemon's messages end without a shutdown: it was killed or it crashed{unless}; "
             "without set-points the arm's controller holds after 48 ms and latches error -600 "
             f"after {CONTROLLER_WATCHDOG_MS} ms"
         )
         return StopCause("died", "", sentence, tuple(evidence))
-    evidence.append(Clue("the file", "nobody has finished it"))
+    evidence.append(Clue("the file", "it was not finished"))
     sentence = (
-        "the recording breaks off, and tells of nothing that held or stopped it: its recorder was killed or could not "
-        "write, or the machine went; what palmd did after that is not in it"
-    ) + ("; or it is still being written: it was a moment ago" if being_written else "")
+        "the recording breaks off without a hold or stop: its recorder was killed or could not write, or the machine "
+        "went down; what palmd did afterwards is not recorded"
+    ) + ("; or it is still being written, as it was a moment ago" if being_written else "")
     return StopCause("cut", "", sentence, tuple(evidence))
 
 
-def of_break(case: RunCase, later: str, log: Sequence[LogEntry]) -> StopCause:
-    """The recording ends while the palms moved, and another one, whose log is given, goes on from it."""
-    missed = [entry for entry in log if entry.name in ("recorder-failed", "recorder-silent") and not entry.who]
-    said = tuple(
+def of_continuation(case: RunCase, later: str, log: Sequence[LogEntry]) -> StopCause:
+    """The cause of a recording that ends during motion and is continued by the recording `later` with the given log."""
+    failures = [entry for entry in log if entry.name in ("recorder-failed", "recorder-silent") and not entry.who]
+    evidence = tuple(
         Clue("palm/log", f"at {case.rel(entry.t_s)} {entry.line}")
-        for entry in missed if -NEAR_S < entry.t_s - case.course.end < BREAK_S
+        for entry in failures if -BEFORE_FAULT_S < entry.t_s - case.timeline.end < SUCCESSOR_S
     )  # fmt: skip
-    if said:
-        sentence = f"the recorder could not go on writing; palmd did, and {later} goes on from here"
-        return StopCause("cut", "", sentence, said)
-    return StopCause("goes-on", "", f"nothing held or stopped it: {later} goes on from here, ask that one")
+    if evidence:
+        sentence = f"the recorder could not write any more; palmd continued, and {later} continues this recording"
+        return StopCause("cut", "", sentence, evidence)
+    return StopCause("goes-on", "", f"no hold or stop: {later} continues this recording, analyse that one")
 
 
 def _moves(case: RunCase, t: float) -> bool:
-    """Whether the palms were told to be elsewhere within the last quarter of a second."""
-    told = [
+    """Whether the commanded position changed within the last quarter of a second."""
+    commanded = [
         tuple(fields[name] for name in case.commanded)
         for when, fields in case.closeup.motion if t - 0.25 < when <= t
     ]  # fmt: skip
-    return len(set(told)) > 1
+    return len(set(commanded)) > 1
 
 
 def of_tracking(case: RunCase, faults: Mapping[str, str], t: float) -> StopCause:
-    """The state is tracking at `t`, with these faults of late: the palms move, pause for the arm, or have no plan."""
-    standing = tuple(
-        Clue("palm/state", f"{code} ({severity}) stood; it holds nothing") for code, severity in faults.items()
+    """What the palms did at `t` in state tracking, with recent `faults`: moved, paused for the arm, or had no plan."""
+    active = tuple(
+        Clue("palm/state", f"{code} ({severity}) was active; it does not hold") for code, severity in faults.items()
     )
     late = next((code for code in ("arm-late", "arm-held") if code in faults), None)
     stall = _stall(case, t, PAUSE_S) if "loop-overrun" in faults else None
-    age_ms = _oldest(case, "arm_age_ms", t)
+    age_ms = _oldest_ms(case, "arm_age_ms", t)
     if stall is not None and (late is None or age_ms < (stall.end - stall.begin + 0.06) * 1e3):
         return stall.cause
     if late is not None:
         age = Clue(
             case.topics.contact.name, f"the arm's last answer was {age_ms:.0f} ms old; after 80 ms the motion pauses"
         )
-        sentence = "the motion paused, and went on by itself: the arm's answers came late"
-        return StopCause("late", "arm", sentence, (age, *_said(case, late, t)))
+        sentence = "the motion paused and resumed automatically: the arm's answers were late"
+        return StopCause("late", "arm", sentence, (age, *_logged_evidence(case, late, t)))
     motion = case.closeup.last_motion(t)
     if motion and not _moves(case, t):
-        over = [entry for entry in case.course.log if entry.kind == "plan" and entry.t_s <= t]
-        started = [entry for entry in case.course.log if entry.name == "start" and entry.t_s <= t]
-        if over and (not started or over[-1].number > started[-1].number):
-            when = Clue("palm/log", f"at {case.rel(over[-1].t_s)}")
-            return StopCause("over", "", over[-1].text, (when, *standing))
+        finished = [entry for entry in case.timeline.log if entry.kind == "plan" and entry.t_s <= t]
+        started = [entry for entry in case.timeline.log if entry.name == "start" and entry.t_s <= t]
+        if finished and (not started or finished[-1].number > started[-1].number):
+            when = Clue("palm/log", f"at {case.rel(finished[-1].t_s)}")
+            return StopCause("over", "", finished[-1].text, (when, *active))
         if motion["segment"] < 0 or motion["progress"] >= 1.0:
-            return StopCause("idle", "", "the palms stand because no plan is being run: over, or not started", standing)
-    moves = (
+            return StopCause("idle", "", "the palms rest because no plan is running: finished, or not started", active)
+    doing = (
         f"palmd was tracking, in segment {motion['segment']} of {motion['plan']}" if motion else "palmd was tracking"
     )
-    logged = tuple(each for code in faults for each in _said(case, code, t + NEAR_S))
+    logged = tuple(each for code in faults for each in _logged_evidence(case, code, t + BEFORE_FAULT_S))
     steps = tuple(
-        Clue("timestamps", f"the wall clock was set by {by:+.0f} s at {case.rel(when)}; nothing goes by it")
-        for when, by in case.course.clock_steps if abs(when - t) < 5.0
+        Clue("timestamps", f"the wall clock was set by {by:+.0f} s at {case.rel(when)}; the loop does not use it")
+        for when, by in case.timeline.clock_steps if abs(when - t) < 5.0
     )  # fmt: skip
-    return StopCause("nothing", "", f"nothing held or stopped it: {moves}", (*standing, *logged, *steps))
+    return StopCause("nothing", "", f"no hold or stop: {doing}", (*active, *logged, *steps))

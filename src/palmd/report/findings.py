@@ -1,4 +1,4 @@
-"""What a run comes to: a verdict, findings in order of weight, each with the next action, and test ratios. Pure."""
+"""Verdict on a run: findings in order of severity, each with the next action, and test ratios. Pure."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import numpy as np
 from palmd.daemon.journal import LOST_S
 from palmd.events import FloatArray
 from palmd.observer.validity import MOST_NIS
-from palmd.report.errors import SDS, Errors, inside
-from palmd.report.series import FOLLOWING_RATIO, FaultSpell, Series
+from palmd.report.errors import SDS, Errors, count_within_band
+from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series
 
-BAD, POOR, NOTE = "failed", "impaired", "note"
-LEVELS = (BAD, POOR, NOTE)
-"""In order of weight: the run does not give what it is for; it does with reservations; it should be known."""
+FAILED, IMPAIRED, NOTE = "failed", "impaired", "note"
+LEVELS = (FAILED, IMPAIRED, NOTE)
+"""In order of severity: the run is not usable for its purpose; usable with reservations; for information."""
 
-USUAL_VALID = 0.9
-"""Of the ticks after the first valid one."""
+MIN_VALID_FRACTION = 0.9
+"""Smallest fraction of valid ticks after the first valid one."""
 
-INSIDE_LEAST = 0.9
-"""Of the errors, that 2 standard deviations should hold; 0.95 for normal errors, which are not independent here."""
+MIN_WITHIN_FRACTION = 0.9
+"""Smallest fraction of errors within 2 standard deviations; 0.95 for normal errors, but they are correlated here."""
 
 PHRASE_HYPHENS = 4
-"""A code with as many is a sentence."""
+"""A code with this many hyphens or more is a sentence and is shown as words."""
 
-_LEVEL_OF = {"stop": BAD, "hold": POOR, "degrade": POOR}
+_LEVEL_OF = {"stop": FAILED, "hold": IMPAIRED, "degrade": IMPAIRED}
 
 
 @dataclass(frozen=True, slots=True)
 class RunFinding:
-    """What was found, how grave it is (one of `LEVELS`), and the next action; empty where there is nothing to do."""
+    """One finding, its severity (one of `LEVELS`), and the next action, empty if there is nothing to do."""
 
     level: str
     what: str
@@ -50,13 +50,13 @@ class TestRatio:
 
     @property
     def ratio(self) -> float:
-        """NaN where either is unknown."""
+        """Value divided by limit; NaN if either is unknown."""
         return self.value / self.limit if self.limit > 0.0 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """`word` is good, impaired or failed; `findings` in order of weight; `ratios` the largest first."""
+    """`word` is good, impaired or failed; `findings` in order of severity; `ratios` in descending order."""
 
     word: str
     findings: tuple[RunFinding, ...]
@@ -64,7 +64,7 @@ class RunVerdict:
 
 
 def verdict_of(series: Series, errors: Errors | None = None) -> RunVerdict:
-    """The verdict of a run; `errors` are those against an emulated rig's truth, where it is known."""
+    """The verdict on a run; `errors` are those against an emulated rig's truth, if known."""
     ratios = tuple(sorted(_ratios(series), key=lambda each: -each.ratio))
     found = [
         *_of_estimate(series),
@@ -73,7 +73,7 @@ def verdict_of(series: Series, errors: Errors | None = None) -> RunVerdict:
         *_of_errors(series, errors),
         *_of_file(series),
     ]
-    found.sort(key=lambda each: LEVELS.index(each.level))  # stable: as they are named above within a level
+    found.sort(key=lambda each: LEVELS.index(each.level))  # stable sort: the order above is kept within a level
     worst = found[0].level if found else NOTE
     return RunVerdict("good" if worst == NOTE else worst, tuple(found), ratios)
 
@@ -87,7 +87,7 @@ def _of_estimate(series: Series) -> Iterator[RunFinding]:
     reasons = " and ".join(map(_in_words, list(series.invalid_reasons)[:2])) or "no reason was published"
     if not valid.any():
         yield RunFinding(
-            BAD, f"no estimate was valid in {series.duration:.0f} s; most often: {reasons}",
+            FAILED, f"no estimate was valid in {series.duration:.0f} s; most frequent reasons: {reasons}",
             f"palmd reconstruct {run} searches the whole run; move the palms more, or longer",
         )  # fmt: skip
         return
@@ -97,19 +97,19 @@ def _of_estimate(series: Series) -> Iterator[RunFinding]:
     lasted = float(series.estimate.t[-1] - series.estimate.t[np.flatnonzero(valid)[-1]])
     if lasted > LOST_S:
         yield RunFinding(
-            BAD, f"the object is lost at the end: no valid estimate for the last {lasted:.1f} s ({reasons})",
-            f"palmd reconstruct {run}; palmd why {run} where the motion was held",
+            FAILED, f"the object is lost at the end: no valid estimate in the last {lasted:.1f} s ({reasons})",
+            f"palmd reconstruct {run}; palmd why {run} if the motion was held",
         )  # fmt: skip
-    if share < USUAL_VALID:
+    if share < MIN_VALID_FRACTION:
         yield RunFinding(
-            POOR, f"after the first valid estimate {share:.0%} of the estimates are valid (usual: {USUAL_VALID:.0%} or "
-            f"more), lost {losses} times; reasons: {reasons}",
-            "see Consistency below; a flat side, a corner or two objects look like this, and so does a moved pad",
+            IMPAIRED, f"after the first valid estimate {share:.0%} of the estimates are valid (usual: "
+            f"{MIN_VALID_FRACTION:.0%} or more), lost {losses} times; reasons: {reasons}",
+            "see Consistency below; possible causes: a flat side, a corner, two objects or a moved pad",
         )  # fmt: skip
 
 
 def _in_words(code: str) -> str:
-    """A code as it stands; one that was made of a sentence as words."""
+    """A code unchanged, or as words if it was made from a sentence."""
     return code if code.count("-") < PHRASE_HYPHENS else code.replace("-", " ")
 
 
@@ -117,16 +117,18 @@ def _in_words(code: str) -> str:
 
 
 def _of_faults(series: Series) -> Iterator[RunFinding]:
-    """One for each code that acted, the most frequent first."""
-    by_code: dict[str, list[FaultSpell]] = {}
+    """One finding per fault code that degraded, held or stopped, the most frequent first."""
+    by_code: dict[str, list[FaultInterval]] = {}
     for fault in series.faults:
         if fault.severity in _LEVEL_OF:
             by_code.setdefault(fault.code, []).append(fault)
-    for code, spells in sorted(by_code.items(), key=lambda item: -len(item[1])):
-        seconds = sum(each.end - each.begin for each in spells)
-        times = f"{len(spells)} times" if len(spells) > 1 else "once"
-        what = f"{code} ({spells[0].severity}) {times}, {seconds:.1f} s in all, first at {spells[0].begin:.1f} s"
-        yield RunFinding(_LEVEL_OF[spells[0].severity], what, spells[0].hint)
+    for code, intervals in sorted(by_code.items(), key=lambda item: -len(item[1])):
+        seconds = sum(each.end - each.begin for each in intervals)
+        times = f"{len(intervals)} times" if len(intervals) > 1 else "once"
+        what = (
+            f"{code} ({intervals[0].severity}) {times}, {seconds:.1f} s in total, first at {intervals[0].begin:.1f} s"
+        )
+        yield RunFinding(_LEVEL_OF[intervals[0].severity], what, intervals[0].hint)
 
 
 def _of_ratios(ratios: tuple[TestRatio, ...]) -> Iterator[RunFinding]:
@@ -134,7 +136,9 @@ def _of_ratios(ratios: tuple[TestRatio, ...]) -> Iterator[RunFinding]:
         if each.ratio > 1.0:
             value = f"{each.value:.3g} {each.unit}".rstrip()
             yield RunFinding(
-                POOR, f"{each.name}: {value}, {each.ratio:.1f} times its limit of {each.limit:.3g}", _ACTIONS[each.name]
+                IMPAIRED,
+                f"{each.name}: {value}, {each.ratio:.1f} times its limit of {each.limit:.3g}",
+                _ACTIONS[each.name],
             )  # fmt: skip
 
 
@@ -142,13 +146,13 @@ def _of_errors(series: Series, errors: Errors | None) -> Iterator[RunFinding]:
     if errors is None or not series.valid.any():
         return
     for name in errors.error:
-        within, judged = inside(series, errors, name)
+        within, judged = count_within_band(series, errors, name)
         share = within / judged if judged else math.nan
-        if math.isfinite(share) and share < INSIDE_LEAST:
+        if math.isfinite(share) and share < MIN_WITHIN_FRACTION:
             yield RunFinding(
-                POOR, f"{share:.0%} of the errors of {name} against the truth are within {SDS:g} standard deviations "
-                "(95 % of normal errors would be)",
-                "the bands are too narrow here: report it with palmd bundle",
+                IMPAIRED, f"{share:.0%} of the errors of {name} against the truth are within {SDS:g} standard "
+                "deviations (95 % of normal errors would be)",
+                "the standard deviations are too small here: report it with palmd bundle",
             )  # fmt: skip
 
 
@@ -162,10 +166,10 @@ def _of_file(series: Series) -> Iterator[RunFinding]:
         yield RunFinding(
             NOTE,
             f"{sum(missing.values())} messages are missing, most of {worst}",
-            "take load off the recording machine",
+            "reduce the load of the recording machine",
         )
-    for said in series.rig_off or ():
-        what, _, action = said.partition(": ")
+    for text in series.rig_deviations or ():
+        what, _, action = text.partition(": ")
         yield RunFinding(NOTE, what, action)
 
 
@@ -179,15 +183,15 @@ _LATE, _WORK, _SKIPPED = (
 )
 _ACTIONS = {
     _NIS: "readings and model disagree: palmd calibrate self, and look for a second object or a moved pad",
-    _FORCE: "see what lies on the pads; lower the plan's accelerations",
-    _FOLLOWING: "lower the plan's rates and accelerations; see the arm",
-    _LATE: "palmd doctor latency, and take load off this machine",
+    _FORCE: "check what lies on the pads; lower the plan's accelerations",
+    _FOLLOWING: "lower the plan's rates and accelerations; check the arm",
+    _LATE: "palmd doctor latency, and reduce the load of this machine",
     _WORK: "palmd doctor build compiles the observers",
-    _SKIPPED: "palmd doctor latency, and take load off this machine",
+    _SKIPPED: "palmd doctor latency, and reduce the load of this machine",
 }
-SKIPPED_MOST = 0.001
-LATE_SHARE, WORK_SHARE = 0.2, 0.5
-"""Of a period: what a tick may be late by, and take."""
+MAX_SKIPPED_FRACTION = 0.001
+MAX_LATENESS, MAX_WORK = 0.2, 0.5
+"""Largest lateness and work of a tick, as fractions of the period."""
 
 
 def _ratios(series: Series) -> Iterator[TestRatio]:
@@ -203,16 +207,16 @@ def _ratios(series: Series) -> Iterator[TestRatio]:
         yield TestRatio(_FOLLOWING, float(following.max()), 1.0)
     if len(series.loop.t):
         period_ms = 1e3 / series.run.config.loop.rate_hz
-        for name, column, share in ((_LATE, "lateness_p99_ms", LATE_SHARE), (_WORK, "work_p99_ms", WORK_SHARE)):
+        for name, column, share in ((_LATE, "lateness_p99_ms", MAX_LATENESS), (_WORK, "work_p99_ms", MAX_WORK)):
             values = _finite(series.loop[column])
             if len(values):
                 yield TestRatio(name, float(values.max()), share * period_ms, "ms")
         if series.counts.get("ticks"):
-            yield TestRatio(_SKIPPED, series.counts["overruns"] / series.counts["ticks"], SKIPPED_MOST)
+            yield TestRatio(_SKIPPED, series.counts["overruns"] / series.counts["ticks"], MAX_SKIPPED_FRACTION)
 
 
 def _force_limit(series: Series) -> float:
-    """What the run's `palm/info` says; NaN where it does not."""
+    """The smallest force limit in the run's `palm/info`; NaN if it has none."""
     for message in series.run.messages(series.run.topics.info.name):
         found = message.fields.get("force_limit_n", math.nan)
         limits = found if isinstance(found, list) else [found]

@@ -1,4 +1,4 @@
-"""The reconstruction through time, after figure 3.9 of the paper; needs matplotlib."""
+"""Figure of the reconstruction over time, after figure 3.9 of the paper; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
-from palmd.report.body import closed, felt_points, frames, outline_known, points, pose_at, turned
+from palmd.report.body import closed, contact_points, frames, outline_known, points, pose_at, turned
 from palmd.report.series import Series
 from palmd.system.mechanism import RADII
 
-MOST, COLUMNS = 12, 4
+MAX_FRAMES, COLUMNS = 12, 4
 ROW_IN = 1.2
 _PALM_M = 0.06
-_MOST_FELT = 150
+_MAX_CONTACTS = 150
 
 
-def rows(series: Series) -> int:
-    """How many rows of frames there are."""
-    return -(-len(frames(series, MOST)) // COLUMNS)
+def row_count(series: Series) -> int:
+    """Number of rows of frames."""
+    return -(-len(frames(series, MAX_FRAMES)) // COLUMNS)
 
 
 def draw_frames(figure: FigureBase, series: Series) -> None:
-    """Palms, contacts and outline as known then, one frame each."""
-    numbers = frames(series, MOST)
-    grid = figure.subplots(rows(series), COLUMNS, squeeze=False).ravel()
+    """Draw palms, contacts and outline as known at each time, one frame each."""
+    numbers = frames(series, MAX_FRAMES)
+    grid = figure.subplots(row_count(series), COLUMNS, squeeze=False).ravel()
     reach = _reach(series, numbers)
     for axes, number in zip(grid, numbers, strict=False):
         _frame(axes, series, number)
         axes.set(xlim=reach[0], ylim=reach[1], aspect="equal")
         axes.axis("off")
-        told = f", {series.estimate['touched'][number]:.0%}" if series.outlines else ""
-        axes.set_title(f"{series.estimate.t[number]:.1f} s{told}", fontsize=7.5, pad=1.0)
+        touched = f", {series.estimate['touched'][number]:.0%}" if series.outlines else ""
+        axes.set_title(f"{series.estimate.t[number]:.1f} s{touched}", fontsize=7.5, pad=1.0)
     for axes in grid[len(numbers) :]:
         axes.axis("off")
 
@@ -52,13 +52,13 @@ def _frame(axes: Axes, series: Series, number: int) -> None:
         axes.plot(*closed(np.where(known.touched, curve, math.nan)), color=BLUE, linewidth=1.6)
     else:
         before = np.flatnonzero(series.valid[: number + 1] & (series.estimate["object"][: number + 1] == object_number))
-        felt = felt_points(series, before[:: -(-len(before) // _MOST_FELT)])
-        axes.plot(*(turned(felt, pose.psi) + pose.centre[:, None]) * 1e3, ".", color=BLUE, markersize=1.2)
+        contacts = contact_points(series, before[:: -(-len(before) // _MAX_CONTACTS)])
+        axes.plot(*(turned(contacts, pose.psi) + pose.centre[:, None]) * 1e3, ".", color=BLUE, markersize=1.2)
     axes.plot(*pose.centre * 1e3, "+", color=BLACK, markersize=4.0)
 
 
 def _reach(series: Series, numbers: tuple[int, ...]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """One view for all: hinge, palms as far as they are drawn, the object."""
+    """Axis limits for all frames: hinge, drawn part of the palms, and object."""
     ends = [(0.0, 0.0)]
     for number in numbers:
         pose = pose_at(series, number)

@@ -1,4 +1,4 @@
-"""Outline and orientation, reconstructed and true, after figure 3.15 of the paper; needs matplotlib."""
+"""Figure of reconstructed and true outline and orientation, after figure 3.15 of the paper; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SDS = 2.0
 
 
 def save(result: Result, found: CameraComparison, outline: Outline | None, path: Path) -> None:
-    """Draws the comparison; the same comparison gives the same file."""
+    """Draw the comparison; equal input gives equal files."""
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(10.0, 4.6), layout="constrained")
         panels = figure.subplot_mosaic(
@@ -34,13 +34,13 @@ def save(result: Result, found: CameraComparison, outline: Outline | None, path:
 
 
 def _outline(axes: Axes, result: Result, found: CameraComparison, outline: Outline | None) -> None:
-    """The estimate turned into the true outline's frame, where there is one."""
-    turn = 0.0 if found.outline is None else found.outline.rotation
+    """Draw the estimate, rotated into the true outline's frame if there is one."""
+    rotation = 0.0 if found.outline is None else found.outline.rotation
     theta = degrees()
-    at = np.mod(theta - turn, math.tau)
+    at = np.mod(theta - rotation, math.tau)
     h = support_at(result.h, at - result.theta[0])
     h_sd = np.interp(at, result.theta, result.h_sd, period=math.tau)
-    felt = np.interp(at, result.theta, result.touched, period=math.tau) > 0.5
+    touched = np.interp(at, result.theta, result.touched, period=math.tau) > 0.5
     estimate = boundary(h) * 1e3
     band = _SDS * h_sd[:, None] * normals(theta) * 1e3
     ring = np.concatenate([_closed(estimate + band), _closed(estimate - band)[::-1]])
@@ -48,7 +48,7 @@ def _outline(axes: Axes, result: Result, found: CameraComparison, outline: Outli
     if outline is not None:
         axes.plot(*_closed(boundary(outline.h) * 1e3).T, color=_ORANGE, linewidth=1.2, label="true outline")
     axes.plot(*_closed(estimate).T, color=_BLUE, linewidth=0.8, linestyle="--", label="palmd, not touched")
-    axes.plot(*_closed(np.where(felt[:, None], estimate, np.nan)).T, color=_BLUE, linewidth=2.4,
+    axes.plot(*_closed(np.where(touched[:, None], estimate, np.nan)).T, color=_BLUE, linewidth=2.4,
               label="palmd, touched")  # fmt: skip
     axes.plot(0.0, 0.0, "+", color=_GREY, label="centre of mass")
     reach = 1.25 * float(np.abs(estimate).max())

@@ -1,4 +1,4 @@
-"""A run's report as one HTML file: figures as SVG in the page, nothing fetched from elsewhere. Needs matplotlib."""
+"""A run's report as one self-contained HTML file with figures as SVG. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from html import escape
 from importlib.resources import files
 from io import StringIO
 
-from palmd.report import words
-from palmd.report.axes import styled
-from palmd.report.sections import Listing, Plate, Player, Report, Section, drawn
-from palmd.report.words import Table
+from palmd.report import texts
+from palmd.report.axes import figure_style
+from palmd.report.sections import CaptionedFigure, Listing, Player, Report, Section, rendered
+from palmd.report.texts import Table
 
 _CSS = """
 :root { color-scheme: light; }
@@ -40,17 +40,17 @@ pre { font-size: .78em; line-height: 1.3; white-space: pre-wrap; }
   body { margin: 0; padding: 0; max-width: none; font-size: 10pt; } h2 { break-after: avoid; }
   tr { break-inside: avoid; } }
 """
-_PLAIN = {"Date": None, "Creator": None, "Format": None, "Type": None}  # no metadata: nothing of it is of this run
+_PLAIN = {"Date": None, "Creator": None, "Format": None, "Type": None}  # no metadata, for reproducible files
 
 
 def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
-    """The page; the same report gives the same text. `at` is told how many figures are drawn."""
+    """The page; equal reports give equal text. `at` is called with the number of figures drawn."""
     number = 0
     body = [f"<h1>{escape(report.title)}</h1>", _verdict(report), _facts(report.facts)]
     for section in report.sections:
         body.append(f"<section>\n<h2>{escape(section.title)}</h2>")
         for part in section.parts:
-            if isinstance(part, Plate):
+            if isinstance(part, CaptionedFigure):
                 number += 1
                 body.append(_figure(part, section, number))
                 at(number)
@@ -67,18 +67,18 @@ def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
     )
 
 
-def _figure(plate: Plate, section: Section, number: int) -> str:
+def _figure(figure: CaptionedFigure, section: Section, number: int) -> str:
     text = StringIO()
-    with styled(str(number)):
-        drawn(plate).savefig(text, format="svg", metadata=_PLAIN)
+    with figure_style(str(number)):
+        rendered(figure).savefig(text, format="svg", metadata=_PLAIN)
     return (
         f"<figure>\n{_embedded(text.getvalue(), f'f{number}-', section.title)}\n"
-        f"<figcaption><b>Figure {number}.</b> {escape(plate.sentence)}</figcaption>\n</figure>"
+        f"<figcaption><b>Figure {number}.</b> {escape(figure.caption)}</figcaption>\n</figure>"
     )
 
 
 def _embedded(svg: str, prefix: str, name: str) -> str:
-    """The drawing without its prologue, its names made unique in a page of several, with a name for screen readers."""
+    """The SVG element without its prologue, with ids made unique by `prefix` and a label for screen readers."""
     drawing = svg[svg.index("<svg") :]
     drawing = re.sub(r'\bid="', f'id="{prefix}', drawing)
     drawing = re.sub(r'href="#', f'href="#{prefix}', drawing)
@@ -87,7 +87,7 @@ def _embedded(svg: str, prefix: str, name: str) -> str:
 
 
 def _player(player: Player) -> str:
-    """Two canvases and what moves them. Shown by its own script only: without scripts the figures below stand alone."""
+    """Two canvases with their script and data. Hidden until the script runs, so pages without scripts stay complete."""
     data = json.dumps(player.data, allow_nan=False, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
     script = files("palmd.report").joinpath("player.js").read_text(encoding="utf-8")
     return (
@@ -95,16 +95,16 @@ def _player(player: Player) -> str:
         '<p class="controls"><button type="button">Play</button>'
         '<input type="range" min="0" max="0" value="0" aria-label="time"></p>\n'
         '<div><canvas role="img" aria-label="touched share, states and faults over time"></canvas></div>\n<dl></dl>\n'
-        f"<p>{escape(player.sentence)}</p>\n</div>\n"
+        f"<p>{escape(player.caption)}</p>\n</div>\n"
         f'<script type="application/json" id="player-data">{data}</script>\n<script>\n{script}</script>\n'
-        "<noscript><p>The run can be played back here where scripts are allowed.</p></noscript>"
+        "<noscript><p>Enable scripts to play the run back here.</p></noscript>"
     )
 
 
 def _verdict(report: Report) -> str:
     if report.verdict is None:
         return ""
-    return f'<p class="verdict {report.verdict.word}">{escape(words.verdict(report.verdict))}</p>'
+    return f'<p class="verdict {report.verdict.word}">{escape(texts.verdict(report.verdict))}</p>'
 
 
 def _facts(facts: tuple[tuple[str, str], ...]) -> str:

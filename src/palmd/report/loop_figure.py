@@ -1,4 +1,4 @@
-"""How the loop kept its time, and how old what it read was; needs matplotlib."""
+"""Figure of the loop's timing and the age of its readings; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from palmd.report.thinning import thinned_band
 
 _OF_A_SECOND = (BLUE, ORANGE, BLACK)
 _OF_A_PORT = (BLUE, ORANGE, GREEN)
-_COLUMNS = 120  # of the ages, each of which swings all the time
+_COLUMNS = 120  # for the ages, which oscillate
 
 
 def draw_loop(figure: FigureBase, series: Series) -> None:
-    """Lateness and work of each second, ticks skipped, ages of the readings."""
+    """Draw lateness and work of each second, skipped ticks, and ages of the readings."""
     (lateness, work), (skipped, ages) = figure.subplots(2, 2, sharex=True)
-    for axes, what in ((lateness, "lateness"), (work, "work")):
-        begun = series.loop["ticks"] > 0.0  # the first message comes before there is anything to tell
-        parts = tuple(drawn(LOOP, chart=what))
+    for axes, quantity in ((lateness, "lateness"), (work, "work")):
+        measured = series.loop["ticks"] > 0.0  # the first message precedes the first statistics
+        parts = tuple(drawn(LOOP, chart=quantity))
         for part, colour in zip(parts, _OF_A_SECOND, strict=True):
-            values = np.where(begun, series.loop[part.name], math.nan)
+            values = np.where(measured, series.loop[part.name], math.nan)
             line(axes, series.loop.t, values, color=colour, linewidth=0.8, label=part.symbol)
-        _positive(axes, [series.loop[part.name][begun] for part in parts])
-        axes.set_ylabel(f"{what} ({parts[0].unit})")
+        _positive(axes, [series.loop[part.name][measured] for part in parts])
+        axes.set_ylabel(f"{quantity} ({parts[0].unit})")
     line(skipped, series.loop.t, series.loop["overruns"], color=BLUE)
     skipped.set(
         ylabel="ticks skipped",
@@ -49,7 +49,7 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
 
 
 def _positive(axes: Axes, drawn: Sequence[FloatArray]) -> None:
-    """A logarithmic axis for all of them, and room for the legend."""
+    """Set a logarithmic axis for all curves, with room for the legend."""
     values = np.concatenate(drawn)
     positive = values[np.isfinite(values) & (values > 0.0)]
     if len(positive):

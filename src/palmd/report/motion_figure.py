@@ -1,4 +1,4 @@
-"""What the palms were told and did, and what state everything was in; needs matplotlib."""
+"""Figure of commanded and actual palm angles, states and faults; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from palmd.quantities import MOTION
 from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, bars, in_view, line, over_time
-from palmd.report.series import FaultSpell, Series, Spell
+from palmd.report.series import FaultInterval, Interval, Series
 from palmd.system.mechanism import PALMS
 
 STATES = {
@@ -19,22 +19,22 @@ STATES = {
 ARM_STATES = {"R": "ready", "T": "tracking", "H": "hold", "D": "stopping", "F": "fault", "X": "e-stop",
     "P": "power off", "M": "manual", "U": "uncalibrated"}  # fmt: skip
 SEVERITIES = {"note": "#9ecae1", "degrade": "#fdae61", "hold": "#d6604d", "stop": "#67001f"}
-_MOST_FAULTS = 12
-_SEGMENT_COLOURS = (BLUE, "#56b4e9")  # by turns
+_MAX_FAULTS = 12
+_SEGMENT_COLOURS = (BLUE, "#56b4e9")  # alternating
 
 
 def bar_rows(series: Series) -> int:
-    """How many rows of bars there are."""
-    return 3 + min(len({fault.code for fault in series.faults}), _MOST_FAULTS)
+    """Number of rows of bars."""
+    return 3 + min(len({fault.code for fault in series.faults}), _MAX_FAULTS)
 
 
 def draw_motion(figure: FigureBase, series: Series) -> None:
-    """Angles, how far the arm is behind them, and below on the same time states and faults as bars."""
+    """Draw angles and following errors, and below states and faults as bars."""
     count = bar_rows(series)
     grid = figure.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1.0, 0.24 * count))
     for axes, palm in zip(grid, PALMS, strict=False):
         t = series.motion.t
-        commanded, actual = (np.degrees(series.motion[f"phi{palm}{what}_rad"]) for what in ("_cmd", ""))
+        commanded, actual = (np.degrees(series.motion[f"phi{palm}{infix}_rad"]) for infix in ("_cmd", ""))
         line(axes, t, actual, color=BLUE, linewidth=1.2, label="actual")
         line(axes, t, commanded, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="commanded")
         line(grid[2], t, actual - commanded, color=(BLUE, ORANGE)[palm - 1], linewidth=0.7, label=f"palm {palm}")
@@ -51,23 +51,25 @@ def draw_motion(figure: FigureBase, series: Series) -> None:
 
 
 def draw_states(axes: Axes, series: Series) -> list[Patch]:
-    """Draws the bars; the key of the colours that occur."""
+    """Draw the bars; returns the legend entries of the colours that occur."""
     segments = tuple(
-        Spell(str(number % 2), spell.begin, spell.end)
-        for number, spell in enumerate(spell for spell in series.segments if spell.what)
+        Interval(str(number % 2), interval.begin, interval.end)
+        for number, interval in enumerate(interval for interval in series.segments if interval.label)
     )
-    arm = tuple(Spell(ARM_STATES.get(spell.what, ""), spell.begin, spell.end) for spell in series.arm_states)
-    codes = list(dict.fromkeys(fault.code for fault in series.faults))[:_MOST_FAULTS]
+    arm = tuple(
+        Interval(ARM_STATES.get(interval.label, ""), interval.begin, interval.end) for interval in series.arm_states
+    )
+    codes = list(dict.fromkeys(fault.code for fault in series.faults))[:_MAX_FAULTS]
     faults = [
-        (code, [Spell(_fault(each), each.begin, each.end) for each in series.faults if each.code == code])
+        (code, [Interval(_fault(each), each.begin, each.end) for each in series.faults if each.code == code])
         for code in codes
     ]
     colours = STATES | {f"fault: {name}": colour for name, colour in SEVERITIES.items()}
     rows = [("palmd", series.states), ("arm", arm), ("segment", segments), *faults]
     bars(axes, rows, colours | dict(zip("01", _SEGMENT_COLOURS, strict=True)))
-    occurring = {spell.what for _, spells in rows for spell in spells}
+    occurring = {interval.label for _, intervals in rows for interval in intervals}
     return [Patch(color=colour, label=name) for name, colour in colours.items() if name in occurring]
 
 
-def _fault(fault: FaultSpell) -> str:
+def _fault(fault: FaultInterval) -> str:
     return f"fault: {fault.severity}"

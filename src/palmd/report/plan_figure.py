@@ -1,4 +1,4 @@
-"""A picture of what a motion plan does: angles, rates, where the palms go, which limit is nearest; needs matplotlib."""
+"""Figure of a motion plan: angles, rates, accelerations, palm positions, usage of limits; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory
 from palmd.motion.usage import LimitUsage, Sampled, sampled, usage
-from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, WIDTH_IN, line, styled
+from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, WIDTH_IN, figure_style, line
 from palmd.system.mechanism import JOINTS, PALMS
 
 _COLOURS = (BLUE, ORANGE)
@@ -27,34 +27,34 @@ _DOTTED = (0, (1, 2))
 
 
 def save(trajectory: Trajectory, limits: MotionLimits, config: Config, path: Path) -> str:
-    """Draws the plan into a file by its suffix; returns in a line how long it takes and which limit is nearest."""
+    """Draw the plan into a file by its suffix; returns a line with its duration and the limit that it uses most."""
     motion = sampled(trajectory)
     used = usage(motion, limits)
-    with styled(trajectory.name):
-        figure = _drawn(trajectory, motion, used, limits, RigGeometry.from_config(config))
+    with figure_style(trajectory.name):
+        figure = _draw(trajectory, motion, used, limits, RigGeometry.from_config(config))
         figure.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None, dpi=150)
-    return f"{how_long(trajectory, motion)}; nearest to its limit: {used[0].text()}"
+    return f"{duration_text(trajectory, motion)}; nearest to its limit: {used[0].text()}"
 
 
-def how_long(trajectory: Trajectory, motion: Sampled) -> str:
-    """How long the plan takes, in words."""
+def duration_text(trajectory: Trajectory, motion: Sampled) -> str:
+    """The duration of the plan as text."""
     last = trajectory.rounds[-1].segments[-1]
     if trajectory.labels[-1] == "explore":
         before = f"{motion.t[-1]:.3g} s, then " if motion.t[-1] > 0.0 else ""
         goal = getattr(last, "goal", None)
         most = f", {goal.time_limit_s:g} s at most" if goal is not None else ""
-        return f"{before}explores, which is decided while it runs{most}"
+        return f"{before}explores; its motion is chosen at run time{most}"
     if math.isinf(trajectory.duration):
-        return f"for ever, {trajectory.rounds[-1].duration:.4g} s a round"
+        return f"repeats without end, {trajectory.rounds[-1].duration:.4g} s per round"
     return f"{trajectory.duration:.4g} s"
 
 
-def _drawn(
+def _draw(
     trajectory: Trajectory, motion: Sampled, used: list[LimitUsage], limits: MotionLimits, geometry: RigGeometry
 ) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
     drawn = "" if motion.whole else f"; drawn: {motion.t[-1]:.3g} s"
-    figure.suptitle(f"{trajectory.name}: {how_long(trajectory, motion)}{drawn}", fontsize=10)
+    figure.suptitle(f"{trajectory.name}: {duration_text(trajectory, motion)}{drawn}", fontsize=10)
     halves = figure.add_gridspec(2, 1, height_ratios=(3.0, 1.15))
     above, below = figure.add_subfigure(halves[0]), figure.add_subfigure(halves[1])
     grid = above.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
@@ -69,8 +69,8 @@ def _drawn(
     _over_time(accelerations, motion.t, np.degrees(motion.accelerations), "acceleration (°/s²)")
     _limited(accelerations, math.degrees(limits.acceleration), np.degrees(motion.accelerations))
     accelerations.set_xlabel("time (s); dotted: limits")
-    _places(above.add_subplot(grid[:, 1]), motion, limits, geometry)
-    _who_limits(below.subplots(), used)
+    _draw_palms(above.add_subplot(grid[:, 1]), motion, limits, geometry)
+    _draw_limit_usage(below.subplots(), used)
     return figure
 
 
@@ -82,7 +82,7 @@ def _over_time(axes: Axes, t: FloatArray, values: FloatArray, label: str) -> Non
 
 
 def _limited(axes: Axes, most: float, values: FloatArray) -> None:
-    """The limit to both sides where it is in view of what the plan does."""
+    """Draw both limits if they are near the plan's values."""
     reached = float(np.abs(values).max(initial=0.0))
     for edge in (-most, most):
         axes.axhline(edge, color=GREY, linewidth=0.8, linestyle=_DOTTED)
@@ -92,10 +92,12 @@ def _limited(axes: Axes, most: float, values: FloatArray) -> None:
         axes.set_title(f"limit ± {most:g}", loc="right", color=GREY, fontsize=7, pad=1)
 
 
-def _places(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeometry) -> None:
-    """The palms in the world frame at some moments, the ways of the hinge and of the point that the arm holds."""
-    axes.fill(*_held(_corners(limits), geometry).T, color=GREEN, alpha=0.1, linewidth=0.0, label="where it may be")
-    hinge, tip = _hinge(motion.angles, geometry), _held(motion.angles, geometry)
+def _draw_palms(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeometry) -> None:
+    """Draw the palms in the world frame at some times, and the paths of the hinge and of the point held by the arm."""
+    axes.fill(
+        *_arm_point(_corners(limits), geometry).T, color=GREEN, alpha=0.1, linewidth=0.0, label="permitted region"
+    )
+    hinge, tip = _hinge(motion.angles, geometry), _arm_point(motion.angles, geometry)
     base = np.array((geometry.base_x, geometry.base_y)) * 1e3
     moments = np.unique(np.linspace(0, len(motion.t) - 1, _PALMS_DRAWN).astype(int))
     for number, index in enumerate(moments):
@@ -103,7 +105,7 @@ def _places(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeom
         for ends, colour in (((base, hinge[index]), _COLOURS[0]), ((hinge[index], tip[index]), _COLOURS[1])):
             axes.plot(*np.column_stack(ends), color=colour, alpha=shade, linewidth=1.4)
     axes.plot(*hinge.T, color=BLACK, linewidth=0.8, label="hinge between the palms")
-    axes.plot(*tip.T, color=GREEN, linewidth=1.0, label="what the arm holds")
+    axes.plot(*tip.T, color=GREEN, linewidth=1.0, label="point held by the arm")
     axes.plot(*base, "o", color=BLUE, markersize=4, label=f"B, palm {PALMS[0]}'s hinge")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="the palms, darker is later")
@@ -111,19 +113,19 @@ def _places(axes: Axes, motion: Sampled, limits: MotionLimits, geometry: RigGeom
 
 
 def _hinge(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
-    """Of the hinge between the palms, at each pair of angles (rad): x, y (mm, world frame)."""
+    """Position of the hinge between the palms at each pair of angles (rad): x, y (mm, world frame)."""
     return np.array([geometry.hinge(first) for first, *_ in angles]) * 1e3
 
 
-def _held(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
-    """Of the point that the arm holds, likewise."""
+def _arm_point(angles: FloatArray, geometry: RigGeometry) -> FloatArray:
+    """Position of the point held by the arm at each pair of angles (rad): x, y (mm, world frame)."""
     phi12 = angles.sum(axis=1)
     reach = geometry.palm_lengths[-1] * 1e3 * np.column_stack((np.cos(phi12), np.sin(phi12)))
     return _hinge(angles, geometry) + reach
 
 
 def _corners(limits: MotionLimits) -> FloatArray:
-    """Once around all angles (rad) that the configured limits allow."""
+    """The boundary of the angles (rad) that the configured limits permit."""
     (low1, high1), (low2, high2) = limits.angles
     up, across = np.linspace(0.0, 1.0, _EDGE), np.linspace(low1, min(high1, limits.top - low2), _EDGE)
     top = np.minimum(high2, limits.top - across)
@@ -133,8 +135,8 @@ def _corners(limits: MotionLimits) -> FloatArray:
     return np.vstack((first, np.column_stack((across, top)), last, back))
 
 
-def _who_limits(axes: Axes, used: list[LimitUsage]) -> None:
-    """How much of each limit is used, the most used on top."""
+def _draw_limit_usage(axes: Axes, used: list[LimitUsage]) -> None:
+    """Draw the used fraction of each limit, the most used on top."""
     for number, each in enumerate(used):
         colour = ORANGE if each.share > _NEAR else BLUE
         axes.barh(number, min(each.share, 1.2), color=colour, height=0.7)
@@ -144,4 +146,4 @@ def _who_limits(axes: Axes, used: list[LimitUsage]) -> None:
     axes.set_xlim(0.0, 1.05)
     axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
     axes.grid(axis="y", visible=False)
-    axes.set_title("who limits: how much of each limit is used (the arm's own are not known here)", loc="right")
+    axes.set_title("usage of the limits (the arm's internal limits are not known here)", loc="right")

@@ -1,4 +1,4 @@
-"""Forces, consistency and coverage over time; needs matplotlib."""
+"""Figures of forces, consistency and coverage over time; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from palmd.report.axes import (
     over_time,
     panels,
 )
-from palmd.report.errors import SDS, Errors, normalised, scores_over_time
+from palmd.report.errors import SDS, Errors, normalised_errors, scores_over_time
 from palmd.report.series import Series
 
 _DASHED = (0, (4, 2))
 FORCES = tuple(drawn(ESTIMATE, tab="forces"))
-_SETTLED_TICKS = 200  # over which the errors are averaged
+_AVERAGED_TICKS = 200  # window of the running mean of the errors
 
 
 def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> None:
-    """Normal forces, friction and mass, each with its band; the truth dashed."""
+    """Draw normal forces, friction and mass with their bands, and the truth dashed."""
     rows = panels(figure, len(FORCES))
     t = series.estimate.t
     for axes, quantity in zip(rows, FORCES, strict=True):
@@ -56,17 +56,17 @@ def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> No
 
 
 def nis_band() -> tuple[float, float]:
-    """What 95 % of running means stay within if every reading is normal: n readings count as 2n − 1 when fading."""
+    """The 95 % interval of running means for normal readings: n exponentially weighted readings count as 2n − 1."""
     reach = 1.96 * math.sqrt(2.0 / (2.0 * NIS_READINGS - 1.0))
     return 1.0 - reach, 1.0 + reach
 
 
 def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) -> None:
-    """Innovations, observability, and where truth is known the errors against what their sd promise."""
+    """Draw innovations, observability and, if the truth is known, normalised errors."""
     grid = np.atleast_1d(figure.subplots(2 if errors is None else 3, 1, sharex=True))
     t = series.estimate.t
     nis, observability = grid[0], grid[1]
-    nis.axhspan(0.0, MOST_NIS, color=BLUE, alpha=0.10, linewidth=0.0, label="called consistent")
+    nis.axhspan(0.0, MOST_NIS, color=BLUE, alpha=0.10, linewidth=0.0, label="consistent")
     nis.axhspan(*nis_band(), color=BLUE, alpha=0.18, linewidth=0.0, label="95 % if normal")
     line(nis, t, series.estimate["nis"], color=BLACK, linewidth=0.8, label="running mean")
     nis.axhline(1.0, color=GREY, linewidth=0.5)
@@ -75,9 +75,9 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
     observability.set_ylabel("smallest\nsingular value")
     _logarithmic(observability, series.estimate["observability"])
     if errors is not None:
-        squares = normalised(series, errors)
+        squares = normalised_errors(series, errors)
         line(grid[2], t, squares, color=BLUE, linewidth=0.6, label="mean of r₁, r₂, ω₀")
-        line(grid[2], t, _running_mean(squares), color=BLACK, label="of the 2 s before")
+        line(grid[2], t, _running_mean(squares), color=BLACK, label="mean of the last 2 s")
         grid[2].axhline(1.0, color=GREY, linewidth=0.7, linestyle=_DASHED)
         grid[2].set_ylabel("(error / sd)²")
         _logarithmic(grid[2], squares)
@@ -89,14 +89,14 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
 
 
 def draw_coverage(figure: FigureBase, series: Series) -> None:
-    """What share of the normals was touched, and how well the whole outline is known."""
+    """Draw the fraction of touched normals, and the uncertainty of the whole outline."""
     touched, known = figure.subplots(ncols=2)
     line(touched, series.estimate.t, 100 * series.estimate["touched"], color=BLUE)
     touched.set(ylabel="touched normals (%)", ylim=(0.0, 102.0))
     t = np.array([outline.t for outline in series.outlines])
     drawn = [
-        (t, _worst(series, felt=False), BLUE, "-", "largest sd"),
-        (t, _worst(series, felt=True), GREEN, "-", "largest sd where touched"),
+        (t, _worst(series, touched_only=False), BLUE, "-", "largest sd"),
+        (t, _worst(series, touched_only=True), GREEN, "-", "largest sd where touched"),
     ]
     if series.bodies:
         t_scored, e_h, largest = scores_over_time(series)
@@ -113,19 +113,19 @@ def draw_coverage(figure: FigureBase, series: Series) -> None:
             axes.axvline(each, ymax=0.03, color=BLACK, linewidth=0.5)
 
 
-def _worst(series: Series, *, felt: bool) -> FloatArray:
-    """Of each outline the largest sd (m), of all normals or of the touched ones; NaN where there are none."""
-    sds = (outline.h_sd[outline.touched] if felt else outline.h_sd for outline in series.outlines)
+def _worst(series: Series, *, touched_only: bool) -> FloatArray:
+    """The largest standard deviation (m) of each outline, over all or over touched normals; NaN without any."""
+    sds = (outline.h_sd[outline.touched] if touched_only else outline.h_sd for outline in series.outlines)
     return np.array([sd.max() if len(sd) else math.nan for sd in sds])
 
 
 def _running_mean(values: FloatArray) -> FloatArray:
-    """Of the last `_SETTLED_TICKS` values that are known; NaN where the value itself is not."""
+    """Mean of the known values among the last `_AVERAGED_TICKS`; NaN where the value itself is unknown."""
     known = np.isfinite(values)
     total = np.cumsum(np.where(known, values, 0.0))
     count = np.cumsum(known)
-    total[_SETTLED_TICKS:] -= total[:-_SETTLED_TICKS].copy()
-    count[_SETTLED_TICKS:] -= count[:-_SETTLED_TICKS].copy()
+    total[_AVERAGED_TICKS:] -= total[:-_AVERAGED_TICKS].copy()
+    count[_AVERAGED_TICKS:] -= count[:-_AVERAGED_TICKS].copy()
     return np.where(known, total / np.maximum(count, 1), math.nan)
 
 

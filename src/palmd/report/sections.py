@@ -1,4 +1,4 @@
-"""The report of a run: its sections in their order, each a figure, a table or a text. Needs matplotlib."""
+"""The report of a run: its sections in order, with figures, tables and texts. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 
 from matplotlib.figure import Figure, FigureBase
 
-from palmd.report import words
+from palmd.report import texts
 from palmd.report.axes import WIDTH_IN
 from palmd.report.body import frames
-from palmd.report.errors import Errors, against, body_at, errors_of, last_outlines
+from palmd.report.errors import Errors, body_at, errors_of, last_outlines, outline_errors
 from palmd.report.findings import RunVerdict, verdict_of
-from palmd.report.frames_figure import MOST, ROW_IN, draw_frames, rows
+from palmd.report.frames_figure import MAX_FRAMES, ROW_IN, draw_frames, row_count
 from palmd.report.loop_figure import draw_loop
 from palmd.report.motion_figure import bar_rows, draw_motion
-from palmd.report.outline_figure import Found, draw_felt, draw_outline
+from palmd.report.outline_figure import DrawnOutline, draw_contacts, draw_outline
 from palmd.report.player_data import player_data
 from palmd.report.quality_figure import draw_consistency, draw_coverage, draw_forces
 from palmd.report.series import Series
@@ -25,40 +25,40 @@ from palmd.report.state_figure import draw_errors, draw_state
 
 
 @dataclass(frozen=True, slots=True)
-class Plate:
-    """A figure of `WIDTH_IN` and this height (inches), what draws it, and the sentence under it."""
+class CaptionedFigure:
+    """A figure of width `WIDTH_IN` and the given height (inches), the function that draws it, and its caption."""
 
     draw: Callable[[FigureBase], None]
     height_in: float
-    sentence: str
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """Text whose lines stand as they are."""
+    """Preformatted text."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Player:
-    """The run to be played back where that can be, and the sentence under it; `data` as `player_data` tells it."""
+    """The run for playback in HTML, with its caption; `data` as from `player_data`."""
 
     data: dict[str, Any]
-    sentence: str
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading and what belongs under it."""
+    """A heading and its contents."""
 
     title: str
-    parts: tuple[Plate | words.Table | Listing | Player, ...]
+    parts: tuple[CaptionedFigure | texts.Table | Listing | Player, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Title, the verdict where there is one, the facts of the title block, and the sections."""
+    """Title, facts of the title block, sections, and the verdict if there is one."""
 
     title: str
     facts: tuple[tuple[str, str], ...]
@@ -66,112 +66,121 @@ class Report:
     verdict: RunVerdict | None = None
 
     @property
-    def plates(self) -> int:
-        """How many figures there are to draw."""
-        return sum(isinstance(part, Plate) for section in self.sections for part in section.parts)
+    def figure_count(self) -> int:
+        """Number of figures to draw."""
+        return sum(isinstance(part, CaptionedFigure) for section in self.sections for part in section.parts)
 
 
 def report_of(series: Series) -> Report:
-    """Everything there is to say of a run; what it does not hold is left out, or said to be missing."""
+    """The complete report of a run; sections without data are omitted or say what is missing."""
     errors = errors_of(series)
-    judged = errors if series.valid.any() else None
-    verdict = verdict_of(series, judged)
+    valid_errors = errors if series.valid.any() else None
+    verdict = verdict_of(series, valid_errors)
     sections = [
         Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
-        Section("State", _state(series, errors, judged)),
+        Section("State", _state(series, errors, valid_errors)),
         Section("Motion", _motion(series)),
-        Section("Forces, friction and mass", _forces(series, judged)),
-        Section("Consistency", _consistency(series, judged)),
+        Section("Forces, friction and mass", _forces(series, valid_errors)),
+        Section("Consistency", _consistency(series, valid_errors)),
         Section("Coverage", _coverage(series)),
         Section("Loop", _loop(series)),
-        Section("Faults", (words.faults(series),)),
-        Section("Log", (words.log(series),) if series.log else ()),
-        Section("Rig", () if series.rig_off is None else (words.rig(series),)),
-        Section("Messages", (words.topics(series),)),
-        Section("Configuration", (Listing(words.configuration(series)),)),
+        Section("Faults", (texts.faults(series),)),
+        Section("Log", (texts.log(series),) if series.log else ()),
+        Section("Rig", () if series.rig_deviations is None else (texts.rig(series),)),
+        Section("Messages", (texts.topics(series),)),
+        Section("Configuration", (Listing(texts.configuration(series)),)),
     ]
-    told = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
-    return Report(series.run.path.stem, words.facts(series), told, verdict)
+    present = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
+    return Report(series.run.path.stem, texts.facts(series), present, verdict)
 
 
 def verdict_sections(verdict: RunVerdict) -> tuple[Section, ...]:
-    """What was found, and the tests."""
+    """The sections on findings and test ratios."""
     return (
-        Section("Findings", (words.findings(verdict),)),
-        Section("Test ratios", (words.ratios(verdict),) if verdict.ratios else ()),
+        Section("Findings", (texts.findings(verdict),)),
+        Section("Test ratios", (texts.ratios(verdict),) if verdict.ratios else ()),
     )
 
 
-def drawn(plate: Plate) -> Figure:
-    """The plate as a figure of its own; to be called and saved within `run_axes.styled`."""
-    figure = Figure(figsize=(WIDTH_IN, plate.height_in), layout="constrained")
-    plate.draw(figure)
-    return figure
+def rendered(figure: CaptionedFigure) -> Figure:
+    """Render a figure; to be called and saved within `axes.figure_style`."""
+    canvas = Figure(figsize=(WIDTH_IN, figure.height_in), layout="constrained")
+    figure.draw(canvas)
+    return canvas
 
 
 def _player(series: Series) -> tuple[Player, ...]:
     data = player_data(series)
-    return () if data is None else (Player(data, words.under_player(series)),)
+    return () if data is None else (Player(data, texts.player_caption(series)),)
 
 
-def _outlines(series: Series) -> tuple[Plate, ...]:
+def _outlines(series: Series) -> tuple[CaptionedFigure, ...]:
     outlines = last_outlines(series)
     if not outlines:
-        return (Plate(partial(draw_felt, series=series), 3.2, words.under_felt(series)),) if series.valid.any() else ()
-    plates = []
+        return (
+            (CaptionedFigure(partial(draw_contacts, series=series), 3.2, texts.contacts_caption(series)),)
+            if series.valid.any()
+            else ()
+        )
+    figures = []
     for outline in outlines:
         body = body_at(series, outline.t)
-        found = Found(outline, None if body is None else against(outline, body))
-        plates.append(Plate(partial(draw_outline, found=found), 5.4, words.under_outline(series, outline)))
-    return tuple(plates)
+        drawn_outline = DrawnOutline(outline, None if body is None else outline_errors(outline, body))
+        figures.append(
+            CaptionedFigure(partial(draw_outline, drawn=drawn_outline), 5.4, texts.outline_caption(series, outline))
+        )
+    return tuple(figures)
 
 
-def _frames(series: Series) -> tuple[Plate, ...]:
-    numbers = frames(series, MOST)
+def _frames(series: Series) -> tuple[CaptionedFigure, ...]:
+    numbers = frames(series, MAX_FRAMES)
     if not numbers:
         return ()
-    said = words.under_frames(series, numbers)
-    return (Plate(partial(draw_frames, series=series), ROW_IN * rows(series), said),)
+    caption = texts.frames_caption(series, numbers)
+    return (CaptionedFigure(partial(draw_frames, series=series), ROW_IN * row_count(series), caption),)
 
 
-def _state(series: Series, errors: Errors | None, judged: Errors | None) -> tuple[Plate, ...]:
-    state = Plate(partial(draw_state, series=series, errors=errors), 7.4, words.under_state(series))
-    if judged is None:
+def _state(series: Series, errors: Errors | None, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
+    state = CaptionedFigure(partial(draw_state, series=series, errors=errors), 7.4, texts.state_caption(series))
+    if valid_errors is None:
         return (state,)
-    said = words.under_errors(series, judged)
-    return (state, Plate(partial(draw_errors, series=series, errors=judged), 7.4, said))
+    caption = texts.errors_caption(series, valid_errors)
+    return (state, CaptionedFigure(partial(draw_errors, series=series, errors=valid_errors), 7.4, caption))
 
 
-def _forces(series: Series, judged: Errors | None) -> tuple[Plate, ...]:
+def _forces(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
     if not series.valid.any():
         return ()
-    said = words.under_forces(series, judged)
-    return (Plate(partial(draw_forces, series=series, errors=judged), 3.4, said),)
+    caption = texts.forces_caption(series, valid_errors)
+    return (CaptionedFigure(partial(draw_forces, series=series, errors=valid_errors), 3.4, caption),)
 
 
-def _consistency(series: Series, judged: Errors | None) -> tuple[Plate, ...]:
-    height = 3.2 if judged is None else 4.4
-    said = words.under_consistency(series, judged)
-    return (Plate(partial(draw_consistency, series=series, errors=judged), height, said),)
+def _consistency(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
+    height = 3.2 if valid_errors is None else 4.4
+    caption = texts.consistency_caption(series, valid_errors)
+    return (CaptionedFigure(partial(draw_consistency, series=series, errors=valid_errors), height, caption),)
 
 
-def _motion(series: Series) -> tuple[Plate | words.Table, ...]:
+def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
     if not len(series.motion.t):
         return ()
     height = 4.6 + 0.24 * bar_rows(series)
-    return (Plate(partial(draw_motion, series=series), height, words.under_motion(series)), words.spent(series.states))
+    return (
+        CaptionedFigure(partial(draw_motion, series=series), height, texts.motion_caption(series)),
+        texts.durations(series.states),
+    )
 
 
-def _coverage(series: Series) -> tuple[Plate, ...]:
+def _coverage(series: Series) -> tuple[CaptionedFigure, ...]:
     if not series.outlines:
         return ()
-    return (Plate(partial(draw_coverage, series=series), 2.6, words.under_coverage(series)),)
+    return (CaptionedFigure(partial(draw_coverage, series=series), 2.6, texts.coverage_caption(series)),)
 
 
-def _loop(series: Series) -> tuple[Plate | words.Table, ...]:
+def _loop(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
     if not len(series.loop.t):
         return ()
-    plate = Plate(partial(draw_loop, series=series), 3.6, words.under_loop(series))
-    return (plate, words.discarded(series))
+    figure = CaptionedFigure(partial(draw_loop, series=series), 3.6, texts.loop_caption(series))
+    return (figure, texts.error_counts(series))

@@ -1,4 +1,4 @@
-"""A recorded run as arrays over time: one pass over its messages, and nothing thrown away that a report needs."""
+"""A recorded run as arrays over time, with everything that a report needs, read in one pass."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from palmd.topics import truth_of
 Bools = npt.NDArray[np.bool_]
 
 FOLLOWING_RATIO = "following_ratio"
-"""Column of the motion: the largest following error over its limit."""
+"""Column of the motion: the largest following error divided by its limit."""
 
 SD = "sd."
-"""Before a field's name: the column of its one-sigma."""
+"""Prefix of a field's name for the column of its standard deviation."""
 
 CONSTANTS = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is BODY)
-"""What is true of an object as long as it lies there."""
+"""Estimated fields that are constants of the object."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicSeries:
-    """The numbers of one topic: times t (n,) in s since the run's beginning, columns (n,) by field name, NaN for none.
+    """The numbers of one topic: times t (n,) in s since the run's beginning, columns (n,) by field name, NaN if absent.
 
-    Booleans are 0 and 1. A one-sigma has its field's name after `SD`.
+    Booleans are 0 and 1. A standard deviation has its field's name with prefix `SD`.
     """
 
     t: FloatArray
@@ -47,7 +47,7 @@ class TopicSeries:
 
 @dataclass(frozen=True, slots=True)
 class OutlineAt:
-    """One `palm/shape`: t (s), which object, whether the estimate was valid; theta (rad), h and h_sd (m), touched."""
+    """One `palm/shape`: t (s), object number, validity of the estimate; theta (rad), h and h_sd (m), touched."""
 
     t: float
     number: int
@@ -60,7 +60,7 @@ class OutlineAt:
 
 @dataclass(frozen=True, slots=True)
 class TrueBody:
-    """One `rig/object`: what really lay there from t (s) on; h (m) on even normals from 0, `CONSTANTS`."""
+    """One `rig/object`: the true object from t (s) on; h (m) on evenly spaced normals from 0, `CONSTANTS`."""
 
     t: float
     h: FloatArray
@@ -68,34 +68,34 @@ class TrueBody:
 
 
 @dataclass(frozen=True, slots=True)
-class Spell:
-    """Something that lasted from `begin` to `end` (s)."""
+class Interval:
+    """A labelled interval from `begin` to `end` (s), for example of a state."""
 
-    what: str
+    label: str
     begin: float
     end: float
 
 
 @dataclass(frozen=True, slots=True)
-class FaultSpell:
-    """A fault that stood from `begin` to `end` (s), with what the operator was told; `stands` at the run's end."""
+class FaultInterval:
+    """A fault that was active from `begin` to `end` (s), with the operator's hint; `active_at_end`: of the run."""
 
     code: str
     severity: str
     hint: str
     begin: float
     end: float
-    stands: bool = True
+    active_at_end: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
     """A run as arrays; times in s since its first message.
 
-    `invalid_reasons` counts the estimates that had each code, the most frequent first. `faults` are in the order in
-    which they came, `log` the entries of `palm/log`, `improvements` the times of the smoother's answers, `counts` the
-    last `palm/loop`. rig_off: what the last `palm/rig` says to be off, None without one. shape: the last outline or
-    surface of a system whose outlines are not among `outlines`; empty for none.
+    invalid_reasons: number of estimates per code, in descending order. faults: in order of appearance. log: entries of
+    `palm/log`. improvements: times of the smoother's answers. counts: the last `palm/loop`. rig_deviations: deviations
+    of the rig in the last `palm/rig`, None without one. shape: the last shape message of systems other than two palms,
+    empty for none.
     """
 
     run: AnyRun
@@ -110,39 +110,39 @@ class Series:
     truth: TopicSeries
     outlines: tuple[OutlineAt, ...]
     bodies: tuple[TrueBody, ...]
-    states: tuple[Spell, ...]
-    arm_states: tuple[Spell, ...]
-    segments: tuple[Spell, ...]
-    faults: tuple[FaultSpell, ...]
+    states: tuple[Interval, ...]
+    arm_states: tuple[Interval, ...]
+    segments: tuple[Interval, ...]
+    faults: tuple[FaultInterval, ...]
     log: tuple[LogEntry, ...]
     improvements: FloatArray
     counts: Mapping[str, float]
-    rig_off: tuple[str, ...] | None
+    rig_deviations: tuple[str, ...] | None
     shape: Fields
 
     @property
     def valid(self) -> Bools:
-        """Of each estimate, whether it was called valid."""
+        """Validity of each estimate."""
         return np.asarray(self.estimate["valid"] > 0.5)
 
     @property
     def objects(self) -> tuple[int, ...]:
-        """The objects that were begun, by the number that the observer gave them."""
+        """The objects of the run, by the observer's numbers."""
         numbers = np.unique(self.estimate["object"])
         return tuple(int(number) for number in numbers if number >= 1)
 
 
 def series_of(run: AnyRun, survey: Mapping[str, Survey], at: Callable[[int], None] = lambda _: None) -> Series:
-    """Everything a report needs of a run; `at` is told how many messages are done.
+    """Read a run; `at` is called with the number of messages read.
 
-    Raises RunError for messages that are not what their topic says, and for a run without an estimate; OSError.
+    Raises RunError for messages with wrong fields and for a run without an estimate; OSError.
     """
     estimate = run.topics.estimate.name
     if estimate not in survey:
         raise RunError(f"{run.path}: holds no {estimate}: there is nothing to report")
     reader = _RunReader(run.topics)
     for number, message in enumerate(run.messages()):
-        if message.topic in reader.takers:
+        if message.topic in reader.handlers:
             try:
                 reader.take(message.topic, message.fields)
             except (KeyError, TypeError, ValueError) as error:
@@ -152,7 +152,7 @@ def series_of(run: AnyRun, survey: Mapping[str, Survey], at: Callable[[int], Non
 
 
 class _Columns:
-    """Numbers of one topic while they are being read; a field that comes late has NaN before."""
+    """Numbers of one topic while they are being read; missing values are NaN."""
 
     def __init__(self) -> None:
         self.t = array("d")
@@ -169,38 +169,38 @@ class _Columns:
             column.append(value)
         self.t.append(t)
 
-    def track(self) -> TopicSeries:
+    def as_series(self) -> TopicSeries:
         count = len(self.t)
         for column in self._columns.values():
             column.extend([math.nan] * (count - len(column)))
         return TopicSeries(np.array(self.t), {name: np.array(column) for name, column in self._columns.items()})
 
 
-class _Spells:
-    """What is said again and again, as spells of the same."""
+class _IntervalBuilder:
+    """Builds intervals from a repeatedly published label."""
 
     def __init__(self) -> None:
-        self._spells: list[Spell] = []
+        self._intervals: list[Interval] = []
 
-    def say(self, t: float, what: str) -> None:
-        last = self._spells[-1] if self._spells else None
+    def observe(self, t: float, label: str) -> None:
+        last = self._intervals[-1] if self._intervals else None
         if last is not None:
-            self._spells[-1] = Spell(last.what, last.begin, t)
-        if last is None or last.what != what:
-            self._spells.append(Spell(what, t, t))
+            self._intervals[-1] = Interval(last.label, last.begin, t)
+        if last is None or last.label != label:
+            self._intervals.append(Interval(label, t, t))
 
-    def until(self, t: float) -> tuple[Spell, ...]:
-        """All of them, the last one lasting until `t`."""
-        if not self._spells:
+    def until(self, t: float) -> tuple[Interval, ...]:
+        """All intervals, the last one extended to `t`."""
+        if not self._intervals:
             return ()
-        *before, last = self._spells
-        return (*before, Spell(last.what, last.begin, t))
+        *before, last = self._intervals
+        return (*before, Interval(last.label, last.begin, t))
 
 
 class _RunReader:
     def __init__(self, topics: SystemTopics) -> None:
         self._topics = topics
-        self.takers: dict[str, Callable[[float, Fields], None]] = {
+        self.handlers: dict[str, Callable[[float, Fields], None]] = {
             topics.estimate.name: self._take_estimate,
             topics.shape.name: self._take_shape if topics.shape is SHAPE else self._keep_shape,
             topics.contact.name: self._numbers(topics.contact),
@@ -213,8 +213,8 @@ class _RunReader:
             topics.truth.name: self._numbers(topics.truth),
             BODY.name: self._take_body,
         }
-        tracks = topics.estimate, topics.contact, topics.motion, LOOP, topics.truth
-        self._columns = {topic.name: _Columns() for topic in tracks}
+        columns_by_topic = topics.estimate, topics.contact, topics.motion, LOOP, topics.truth
+        self._columns = {topic.name: _Columns() for topic in columns_by_topic}
         self._shape: Fields = {}
         self._begin_ns: int | None = None
         self._end = 0.0
@@ -223,14 +223,14 @@ class _RunReader:
         self._number, self._valid = 0, False
         self._outlines: list[OutlineAt] = []
         self._bodies: list[TrueBody] = []
-        self._rig_off: tuple[str, ...] | None = None
-        self._states, self._arm_states, self._segments = _Spells(), _Spells(), _Spells()
-        self._standing: dict[str, FaultSpell] = {}
-        self._faults: list[FaultSpell] = []
+        self._rig_deviations: tuple[str, ...] | None = None
+        self._states, self._arm_states, self._segments = _IntervalBuilder(), _IntervalBuilder(), _IntervalBuilder()
+        self._active: dict[str, FaultInterval] = {}
+        self._faults: list[FaultInterval] = []
         self._log: list[LogEntry] = []
         self._improvements = array("d")
-        self._estimated = _names(topics.estimate)
-        self._moved = _names(topics.motion)
+        self._estimate_names = _names(topics.estimate)
+        self._motion_names = _names(topics.motion)
 
     def take(self, topic: str, fields: Fields) -> None:
         now = int(fields["mono_ns"])
@@ -238,34 +238,34 @@ class _RunReader:
             self._begin_ns = now
         t = (now - self._begin_ns) * 1e-9
         self._end = max(self._end, t)
-        self.takers[topic](t, fields)
+        self.handlers[topic](t, fields)
 
     def series(self, run: AnyRun, survey: Mapping[str, Survey]) -> Series:
         end = self._end
-        faults = [*self._faults, *(replace(fault, end=end) for fault in self._standing.values())]
-        tracks = {topic: columns.track() for topic, columns in self._columns.items()}
-        loop = tracks[LOOP.name]
+        faults = [*self._faults, *(replace(fault, end=end) for fault in self._active.values())]
+        columns_by_topic = {topic: columns.as_series() for topic, columns in self._columns.items()}
+        loop = columns_by_topic[LOOP.name]
         return Series(
             run=run,
             survey=survey,
             observer=self._observer,
             duration=end,
-            estimate=tracks[self._topics.estimate.name],
+            estimate=columns_by_topic[self._topics.estimate.name],
             invalid_reasons=dict(self._reasons.most_common()),
-            contact=tracks[self._topics.contact.name],
-            motion=tracks[self._topics.motion.name],
+            contact=columns_by_topic[self._topics.contact.name],
+            motion=columns_by_topic[self._topics.motion.name],
             loop=loop,
-            truth=tracks[self._topics.truth.name],
+            truth=columns_by_topic[self._topics.truth.name],
             outlines=tuple(self._outlines),
             bodies=tuple(self._bodies),
             states=self._states.until(end),
             arm_states=self._arm_states.until(end),
             segments=self._segments.until(end),
-            faults=tuple(sorted(faults, key=lambda spell: spell.begin)),
+            faults=tuple(sorted(faults, key=lambda interval: interval.begin)),
             log=tuple(self._log),
             improvements=np.array(self._improvements),
             counts={name: float(column[-1]) for name, column in loop.columns.items()},
-            rig_off=self._rig_off,
+            rig_deviations=self._rig_deviations,
             shape=self._shape,
         )
 
@@ -274,7 +274,7 @@ class _RunReader:
         return lambda t, fields: self._columns[topic.name].add(t, [(name, float(fields[name])) for name in names])
 
     def _take_estimate(self, t: float, fields: Fields) -> None:
-        values = [(name, float(fields[name])) for name in self._estimated]
+        values = [(name, float(fields[name])) for name in self._estimate_names]
         values += [(SD + name, float(sd)) for name, sd in fields["sd"].items()]
         self._columns[self._topics.estimate.name].add(t, values)
         self._reasons.update(fields.get("invalid_reasons", ()))
@@ -285,38 +285,38 @@ class _RunReader:
             np.array(fields[name], dtype=np.float64) for name in ("theta_rad", "h_m", "h_sd_m", "touched")
         )
         if not len(theta) == len(h) == len(h_sd) == len(touched):
-            raise ValueError("its lists differ in length")
+            raise ValueError("the lists differ in length")
         self._outlines.append(OutlineAt(t, self._number, self._valid, theta, h, h_sd, np.asarray(touched > 0.5)))
 
     def _keep_shape(self, _: float, fields: Fields) -> None:
         self._shape = fields
 
     def _take_motion(self, t: float, fields: Fields) -> None:
-        values = [(name, float(fields[name])) for name in self._moved]
+        values = [(name, float(fields[name])) for name in self._motion_names]
         self._columns[self._topics.motion.name].add(t, [*values, *_following(fields)])
-        self._arm_states.say(t, fields["arm_state"])
+        self._arm_states.observe(t, fields["arm_state"])
         segment = int(fields["segment"])
-        self._segments.say(t, "" if segment < 0 else f"{fields['plan']} {segment}")
+        self._segments.observe(t, "" if segment < 0 else f"{fields['plan']} {segment}")
 
     def _take_state(self, t: float, fields: Fields) -> None:
-        self._states.say(t, fields["state"])
-        told = dict(zip(fields["faults"], zip(fields["severities"], fields["hints"], strict=True), strict=True))
-        for code in [code for code in self._standing if code not in told]:
-            self._faults.append(replace(self._standing.pop(code), end=t, stands=False))
-        for code, (severity, hint) in told.items():
-            self._standing.setdefault(code, FaultSpell(code, severity, hint, t, t))
+        self._states.observe(t, fields["state"])
+        published = dict(zip(fields["faults"], zip(fields["severities"], fields["hints"], strict=True), strict=True))
+        for code in [code for code in self._active if code not in published]:
+            self._faults.append(replace(self._active.pop(code), end=t, active_at_end=False))
+        for code, (severity, hint) in published.items():
+            self._active.setdefault(code, FaultInterval(code, severity, hint, t, t))
 
     def _take_log(self, _: float, fields: Fields) -> None:
-        told = self._log[-1].number if self._log else -1
+        last = self._log[-1].number if self._log else -1
         begin_s = (self._begin_ns or 0) * 1e-9
-        self._log += [replace(entry, t_s=entry.t_s - begin_s) for entry in entries_of(fields) if entry.number > told]
+        self._log += [replace(entry, t_s=entry.t_s - begin_s) for entry in entries_of(fields) if entry.number > last]
 
     def _take_loop(self, t: float, fields: Fields) -> None:
         numbers = [(name, float(value)) for name, value in fields.items() if isinstance(value, int | float)]
         self._columns[LOOP.name].add(t, numbers)
 
     def _take_rig(self, _: float, fields: Fields) -> None:
-        self._rig_off = tuple(fields["off"])
+        self._rig_deviations = tuple(fields["off"])
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)
@@ -324,7 +324,7 @@ class _RunReader:
 
 
 def _following(fields: Fields) -> Iterator[tuple[str, float]]:
-    """The largest ratio of a joint's following error to its limit, where both are published."""
+    """The largest ratio of a joint's following error to its limit, if both are published."""
     errors, limits = (
         [fields[name] for name in fields if name.startswith(f"following_{each}_")] for each in ("error", "limit")
     )

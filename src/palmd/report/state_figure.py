@@ -1,4 +1,4 @@
-"""The named state over time with its band, and its errors where truth is known; needs matplotlib."""
+"""Figures of the named state over time with its band, and of its errors if the truth is known; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.figure import FigureBase
 
 from palmd.quantities import ESTIMATE, Quantity, drawn
 from palmd.report.axes import BLACK, BLUE, GREY, band, estimated, in_view, invalid_shaded, line, over_time, panels
-from palmd.report.errors import SDS, Errors, inside
+from palmd.report.errors import SDS, Errors, count_within_band
 from palmd.report.series import SD, Series
 
 STATE = (*drawn(ESTIMATE, tab="state"), ESTIMATE["mu"])
@@ -22,7 +22,7 @@ _IN_SMALLER = {
 
 
 def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> None:
-    """The state with its band; the truth dashed."""
+    """Draw the state with its band, and the truth dashed."""
     for axes, quantity, last in _panels(figure):
         factor = quantity.shown.factor
         value, low, high = estimated(series, quantity.name, SDS)
@@ -43,21 +43,23 @@ def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> Non
 
 
 def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
-    """Estimate less truth, and the band it should stay within."""
+    """Draw estimate minus truth, and the band of the standard deviations."""
     for axes, quantity, last in _panels(figure):
         unit, smaller = _IN_SMALLER.get(quantity.shown.unit, (quantity.shown.unit, 1.0))
         factor = quantity.shown.factor * smaller
         t, valid = series.estimate.t, series.valid
         error = errors.error.get(quantity.name, np.full(len(t), math.nan))
-        off = np.where(valid, error, math.nan) * factor
+        error_shown = np.where(valid, error, math.nan) * factor
         reach = np.where(valid, SDS * series.estimate[SD + quantity.name], math.nan) * factor
         band(axes, t, -reach, reach, BLUE, f"±{SDS:g} sd")
-        line(axes, t, off, color=BLACK, linewidth=0.6, label="estimate − truth")
+        line(axes, t, error_shown, color=BLACK, linewidth=0.6, label="estimate − truth")
         axes.axhline(0.0, color=GREY, linewidth=0.5)
-        in_view(axes, off, np.percentile(reach[np.isfinite(reach)], (90,)) if np.isfinite(reach).any() else reach)
+        in_view(
+            axes, error_shown, np.percentile(reach[np.isfinite(reach)], (90,)) if np.isfinite(reach).any() else reach
+        )
         highest = max(map(abs, axes.get_ylim()))
         axes.set_ylim(-highest, highest)
-        within, judged = inside(series, errors, quantity.name) if quantity.name in errors.error else (0, 0)
+        within, judged = count_within_band(series, errors, quantity.name) if quantity.name in errors.error else (0, 0)
         _finish(axes, series, last, f"Δ{quantity.symbol} ({unit})" if unit else f"Δ{quantity.symbol}")
         if judged:
             axes.set_title(f"{within / judged:.0%} inside", loc="right", fontsize=7.0, pad=2.0)

@@ -1,4 +1,4 @@
-"""A body in space seen from four sides, coloured by its band, with the contacts' curves; needs matplotlib."""
+"""Figure of a body in space from four sides, coloured by standard deviation, with contact curves; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
-from palmd.record.meshfile import BAND_COLOURS, BAND_M, UNTOUCHED, Mesh, band_colours
+from palmd.record.meshfile import SD_COLOURS, SD_RANGE_M, UNTOUCHED, Mesh, sd_colours
 from palmd.report.axes import BLACK, ORANGE, PINK
 
 SIDES = ("most touched", "from its right", "from behind", "from its left")
 PAD_COLOURS = (ORANGE, BLACK, PINK)
 _LIGHT = np.array([-0.4, 0.5, 0.77])
-_DULL = 0.55  # brightness where no light falls
+_DULL = 0.55  # brightness of faces turned away from the light
 
 
 @dataclass(frozen=True, slots=True)
-class FeltBody:
-    """A surface with its bands, and where on it the palms were: contacts (K, 3 palms, 3) (m, in the body's frame)."""
+class TouchedBody:
+    """A surface with its standard deviations, and the contacts (K, 3 palms, 3) on it (m, body frame)."""
 
     mesh: Mesh
     contacts: FloatArray
 
 
-def draw_surface(figure: FigureBase, body: FeltBody) -> None:
-    """Four views about an axis across the side that was touched most, all at one scale."""
+def draw_surface(figure: FigureBase, body: TouchedBody) -> None:
+    """Draw four views at the same scale, the first one of the side that was touched most."""
     grid = list(figure.subplots(2, 2).ravel())
     first = first_view(body.contacts)
     reach = 1.08e3 * float(np.linalg.norm(body.mesh.points, axis=1).max())
@@ -43,16 +43,19 @@ def draw_surface(figure: FigureBase, body: FeltBody) -> None:
         axes.grid(visible=False)
     pads = [grid[0].plot([], [], color=colour, label=f"pad {i}")[0] for i, colour in enumerate(PAD_COLOURS, 1)]
     grid[0].legend(handles=pads, loc="upper left")
-    scale = LinearSegmentedColormap.from_list("band", BAND_COLOURS / 255)
+    scale = LinearSegmentedColormap.from_list("band", SD_COLOURS / 255)
     bar = figure.colorbar(
-        ScalarMappable(LogNorm(1e6 * BAND_M[0], 1e6 * BAND_M[1]), scale), ax=grid, shrink=0.6, label="one-sigma (µm)"
+        ScalarMappable(LogNorm(1e6 * SD_RANGE_M[0], 1e6 * SD_RANGE_M[1]), scale),
+        ax=grid,
+        shrink=0.6,
+        label="standard deviation (µm)",
     )
     bar.ax.text(0.5, -0.05, "grey:\nuntouched", transform=bar.ax.transAxes, ha="center", va="top", fontsize=7.0,
                 color=tuple(UNTOUCHED / 400))  # fmt: skip
 
 
 def first_view(contacts: FloatArray) -> FloatArray:
-    """(3, 3) whose rows are right, up and towards the eye, which looks at the side that was touched most."""
+    """View matrix (3, 3) of the side that was touched most; rows: right, up, towards the eye."""
     touched = contacts.reshape(-1, 3) / np.linalg.norm(contacts.reshape(-1, 3), axis=1)[:, None]
     spread, axes = np.linalg.eigh(touched.T @ touched)
     del spread
@@ -63,7 +66,7 @@ def first_view(contacts: FloatArray) -> FloatArray:
     return np.stack([np.cross(up, eye), up, eye])
 
 
-def _view(axes: Axes, body: FeltBody, view: FloatArray) -> None:
+def _view(axes: Axes, body: TouchedBody, view: FloatArray) -> None:
     mesh = body.mesh
     points = 1e3 * mesh.points @ view.T
     corners = points[mesh.triangles]
@@ -74,7 +77,7 @@ def _view(axes: Axes, body: FeltBody, view: FloatArray) -> None:
     if mesh.sd is None or mesh.touched is None:
         colours = np.tile(UNTOUCHED / 255, (len(points), 1))
     else:
-        colours = band_colours(mesh.sd, mesh.touched) / 255
+        colours = sd_colours(mesh.sd, mesh.touched) / 255
     faces = (colours[mesh.triangles].mean(1) * shade[:, None])[facing]
     axes.add_collection(
         PolyCollection(

@@ -1,4 +1,4 @@
-"""Long records made short enough to print: what a reader can still see of them, gaps included. Pure."""
+"""Thinning of long records for figures without visible loss, gaps included. Pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from palmd.events import FloatArray
 
 COLUMNS = 300
-"""How many columns of a panel are told apart in print; each keeps its least and its greatest value."""
+"""Number of columns that can be distinguished in a printed panel; each keeps its least and its greatest value."""
 
-GAP = 5.0  # times the usual step: a longer one is a gap
+GAP = 5.0  # steps longer than this multiple of the median step are gaps
 
 
 def with_gaps(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-    """A NaN between values (n,) whose times (n,) are much farther apart than usual: a line is broken there."""
+    """Insert NaN into values (n,) at gaps of their times (n,), so that lines are interrupted there."""
     steps = np.diff(t)
     if not len(steps):
         return (t, *values)
@@ -24,7 +24,7 @@ def with_gaps(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def thinned(t: FloatArray, values: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
-    """The line's least and greatest value of each column, in the order in which they came; itself if it is short."""
+    """The least and greatest value of each column, in time order; a short line unchanged."""
     t, values = with_gaps(t, values)
     if len(t) <= 2 * columns:
         return t, values
@@ -32,7 +32,7 @@ def thinned(t: FloatArray, values: FloatArray, columns: int = COLUMNS) -> tuple[
     known = np.isfinite(in_column)
     lowest = np.where(known, in_column, math.inf).argmin(axis=1)
     highest = np.where(known, in_column, -math.inf).argmax(axis=1)
-    # of a column with a gap one of its three points is the gap
+    # a column with a gap keeps the gap as one of its three points
     gap = np.where((~known).any(axis=1), (~known).argmax(axis=1), lowest)
     chosen = np.sort(np.stack([lowest, highest, gap], axis=1), axis=1)
     rows = np.arange(len(chosen))[:, None]
@@ -42,7 +42,7 @@ def thinned(t: FloatArray, values: FloatArray, columns: int = COLUMNS) -> tuple[
 def thinned_band(
     t: FloatArray, low: FloatArray, high: FloatArray, columns: int = COLUMNS
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times, least `low` and greatest `high` of each column; NaN where there is nothing. Itself if it is short."""
+    """Times, least `low` and greatest `high` of each column, NaN if unknown; a short band unchanged."""
     t, low, high = with_gaps(t, low, high)
     if len(t) <= columns:
         return t, low, high
@@ -58,7 +58,7 @@ def thinned_band(
 
 
 def _columns(values: FloatArray, columns: int) -> FloatArray:
-    """(columns, k): the values in order, the last one repeated as often as it takes."""
+    """Reshape to (columns, k), padded with the last value."""
     each = -(-len(values) // columns)
     rows = -(-len(values) // each)
     return np.pad(values, (0, rows * each - len(values)), mode="edge").reshape(rows, each)

@@ -1,4 +1,4 @@
-"""Trajectories and outlines to be compared, from recordings, results, and tracks of other systems."""
+"""Read trajectories and outlines for comparison, from recordings, results, and tracks of other systems."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from palmd.record.resultfile import ResultError, read_result
 from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.record.track import TrackError, read_track
 
-LEAST_ROWS = 30
+MIN_ROWS = 30
 MAX_BYTES = 200_000_000
 _TUM_COLUMNS = 8
 
 
 class TrackFileError(Exception):
-    """A file that cannot be compared; its text is one line `file: what`."""
+    """A file that cannot be compared; the text is one line `file: what is wrong`."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutlineShape:
-    """A support function `h` (m) on normals `theta` (rad), and which normals are touched; of a plane system."""
+    """A planar outline: support function `h` (m) on normals `theta` (rad), and which normals were touched."""
 
     theta: FloatArray
     h: FloatArray
@@ -39,8 +39,8 @@ class OutlineShape:
 class PoseTrack:
     """n poses of one object at times `t` (s): `position` (n, 3) in m, NaN where unknown, and `rotation`.
 
-    `valid` is the share of the recorded ticks with a valid estimate, NaN for tracks; `truth` is that of an emulated
-    rig, on the same clock and in the same frame.
+    `valid` is the fraction of recorded ticks with a valid estimate, NaN for tracks; `truth` is the track of an emulated
+    rig's truth, on the same clock and in the same frame.
     """
 
     name: str
@@ -53,33 +53,33 @@ class PoseTrack:
 
 
 def read_pose_track(path: Path) -> PoseTrack:
-    """The trajectory in a file of any kind that `palmd compare` names; raises TrackFileError. Not for the loop."""
+    """Read the trajectory in a file of any format of `palmd compare`; raises TrackFileError. Not for the loop."""
     try:
         if not path.exists():
-            raise TrackFileError(f"{path}: no such file; `palmd runs FOLDER` lists the recordings in one")
+            raise TrackFileError(f"{path}: no such file; `palmd runs FOLDER` lists the recordings in a folder")
         if path.is_dir():
-            raise TrackFileError(f"{path}: is a folder; name the files in it")
+            raise TrackFileError(f"{path}: is a folder; name a file")
         if path.stat().st_size > MAX_BYTES and path.suffix != ".mcap":
             raise TrackFileError(f"{path}: longer than {MAX_BYTES // 1_000_000} MB")
         if path.suffix == ".csv":
-            return _of_track(path)
+            return _from_track(path)
         if path.suffix == ".json":
-            return _of_result(path)
+            return _from_result(path)
         if path.suffix in (".tum", ".txt"):
-            return _of_tum(path)
+            return _from_tum(path)
         if is_recording(path):
-            return _of_run(read_any_run(path))
+            return _from_run(read_any_run(path))
     except OSError as error:
         raise TrackFileError(f"{path}: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise TrackFileError(f"{path}: not text (UTF-8)") from None
     except (RunError, ResultError, TrackError) as error:
         raise TrackFileError(str(error)) from None
-    raise TrackFileError(f"{path}: is no recording; the name of a track ends in .csv or .tum, of a result in .json")
+    raise TrackFileError(f"{path}: is not a recording; tracks have the suffix .csv or .tum, results .json")
 
 
-def planar(t: FloatArray, x: FloatArray, y: FloatArray, angle: FloatArray, **more: Any) -> dict[str, Any]:
-    """The fields of a trajectory in the plane: x, y (m), angle (rad)."""
+def planar_fields(t: FloatArray, x: FloatArray, y: FloatArray, angle: FloatArray, **more: Any) -> dict[str, Any]:
+    """The fields of a `PoseTrack` for planar motion: x, y (m), angle (rad)."""
     position = np.stack([x, y, np.zeros_like(x)], axis=1)
     return {
         "t": t,
@@ -89,14 +89,16 @@ def planar(t: FloatArray, x: FloatArray, y: FloatArray, angle: FloatArray, **mor
     }
 
 
-def _of_track(path: Path) -> PoseTrack:
+def _from_track(path: Path) -> PoseTrack:
     track = read_track(path)
     seen = np.isfinite(track.angle)
-    return PoseTrack(path.name, **planar(track.t[seen], track.mark[seen, 0], track.mark[seen, 1], track.angle[seen]))
+    return PoseTrack(
+        path.name, **planar_fields(track.t[seen], track.mark[seen, 0], track.mark[seen, 1], track.angle[seen])
+    )
 
 
-def _of_tum(path: Path) -> PoseTrack:
-    """Lines `time x y z qx qy qz qw` (s, m), `#` begins a comment: the format of the TUM RGB-D benchmark."""
+def _from_tum(path: Path) -> PoseTrack:
+    """Read the format of the TUM RGB-D benchmark: lines `time x y z qx qy qz qw` (s, m), `#` begins a comment."""
     rows: list[list[float]] = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -113,36 +115,36 @@ def _of_tum(path: Path) -> PoseTrack:
         if rows and row[0] <= rows[-1][0]:
             raise TrackFileError(f"{path}:{number}: time is {row[0]:g} after {rows[-1][0]:g}: it must increase")
         rows.append(row)
-    if len(rows) < LEAST_ROWS:
-        raise TrackFileError(f"{path}: {len(rows)} poses; {LEAST_ROWS} are needed")
+    if len(rows) < MIN_ROWS:
+        raise TrackFileError(f"{path}: {len(rows)} poses; {MIN_ROWS} are needed")
     table = np.array(rows)
     return PoseTrack(path.name, table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:]))
 
 
-def _of_result(path: Path) -> PoseTrack:
-    """Of `palmd reconstruct`: its plane trajectories have no position, since that takes the palms' angles."""
+def _from_result(path: Path) -> PoseTrack:
+    """Read a result of `palmd reconstruct`; planar ones have no position, which would need the palms' angles."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
-        content = None  # read_result says where it is wrong
-    course = content.get("trajectory") if isinstance(content, dict) else None
-    if isinstance(course, dict) and "quat_xyzw" in course:
+        content = None  # read_result reports the error
+    trajectory = content.get("trajectory") if isinstance(content, dict) else None
+    if isinstance(trajectory, dict) and "quat_xyzw" in trajectory:
         try:
-            t, quat, com = (np.array(course[name], dtype=np.float64) for name in ("t", "quat_xyzw", "com_m"))
+            t, quat, com = (np.array(trajectory[name], dtype=np.float64) for name in ("t", "quat_xyzw", "com_m"))
             return PoseTrack(path.name, t, com.reshape(len(t), 3), Rotation.from_quat(quat.reshape(len(t), 4)))
         except (KeyError, TypeError, ValueError) as error:
             raise TrackFileError(f"{path}: its trajectory cannot be read: {error}") from None
     result = read_result(path)
-    nowhere = np.full(len(result.t), math.nan)
+    unknown = np.full(len(result.t), math.nan)
     body = OutlineShape(result.theta, result.h, result.touched.astype(np.float64))
-    return PoseTrack(path.name, **planar(result.t, nowhere, nowhere, result.psi, body=body))
+    return PoseTrack(path.name, **planar_fields(result.t, unknown, unknown, result.psi, body=body))
 
 
 # -------------------------------------------------------------------------------------------------------- recordings
 
 
-def _of_run(run: AnyRun) -> PoseTrack:
-    """The valid estimates of the object that has most of them, and the emulated rig's truth where it is recorded."""
+def _from_run(run: AnyRun) -> PoseTrack:
+    """The valid estimates of the object with the most of them, and an emulated rig's truth if recorded."""
     topics = run.topics
     estimates: dict[int, list[dict[str, Any]]] = {}
     shapes: dict[int, dict[str, Any]] = {}
@@ -163,21 +165,21 @@ def _of_run(run: AnyRun) -> PoseTrack:
         else:
             true_object = fields
     if not estimates:
-        raise TrackFileError(f"{run.path}: no estimate in it is valid: there is nothing to compare")
+        raise TrackFileError(f"{run.path}: no estimate in it is valid; there is nothing to compare")
     best = max(estimates, key=lambda number: len(estimates[number]))
     count = sum(map(len, estimates.values()))
-    if len(estimates[best]) < LEAST_ROWS:
-        raise TrackFileError(f"{run.path}: {count} valid estimates; {LEAST_ROWS} of one object are needed")
+    if len(estimates[best]) < MIN_ROWS:
+        raise TrackFileError(f"{run.path}: {count} valid estimates; {MIN_ROWS} of one object are needed")
     name = run.path.stem
     truth = None
-    if len(truths) >= LEAST_ROWS:
+    if len(truths) >= MIN_ROWS:
         truth = PoseTrack(f"truth of {name}", **_poses(truths), body=_body(true_object))
     body = _body(shapes.get(best, {}))
     return PoseTrack(name, **_poses(estimates[best]), body=body, valid=count / ticks, truth=truth)
 
 
 def _poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Time, position and rotation of messages, by the fields that their system has."""
+    """Time, position and rotation from messages, by the fields of their system."""
 
     def column(name: str) -> FloatArray:
         return np.array([row.get(name, math.nan) for row in rows], dtype=np.float64)
@@ -187,11 +189,11 @@ def _poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
         position = np.stack([column(f"com_{axis}_m") for axis in "xyz"], axis=1)
         return {"t": t, "position": position, "rotation": Rotation.from_quat([row["quat_xyzw"] for row in rows])}
     x, y = ("com_x_m", "com_y_m") if "com_x_m" in rows[0] else ("x_m", "z_m")
-    return planar(t, column(x), column(y), column("psi_rad"))
+    return planar_fields(t, column(x), column(y), column("psi_rad"))
 
 
 def _body(shape: dict[str, Any]) -> OutlineShape | None:
-    """A plane outline as it was published, or the truth's; None for others."""
+    """A published or true planar outline; None for other shapes."""
     h = shape.get("h_m") or shape.get("hP_m")
     theta = shape.get("theta_rad")
     if not h or not theta:

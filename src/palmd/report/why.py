@@ -1,4 +1,4 @@
-"""`palmd why`: what made a recorded run hold or stop, in plain words with the evidence, from the recording alone."""
+"""Root-cause analysis for `palmd why`: what made a recorded run hold or stop, as text with evidence."""
 
 from __future__ import annotations
 
@@ -12,34 +12,43 @@ from itertools import pairwise
 from palmd.faults import TABLE
 from palmd.messages import LogEntry
 from palmd.record import SUFFIX
-from palmd.record.damage import described
-from palmd.record.index import LIVE_S
+from palmd.record.damage import damage_text
+from palmd.record.index import BEING_WRITTEN_S
 from palmd.record.run import AnyRun, RunError, read_any_run
-from palmd.report.causes import RunCase, StopCause, of_break, of_damage, of_end, of_fault, of_no_fault, of_tracking
-from palmd.report.course import TOGETHER_S, Course, StateChange, closeup_of, course_of
+from palmd.report.causes import (
+    RunCase,
+    StopCause,
+    of_continuation,
+    of_damage,
+    of_end,
+    of_fault,
+    of_no_fault,
+    of_tracking,
+)
+from palmd.report.timeline import STATE_FAULT_S, StateChange, Timeline, closeup_of, timeline_of
 
 _COMMANDED = ("tracking", "hold")
-_ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
-_HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
-             "idle": "the rig was gone"}  # fmt: skip
+_ACTING = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
+_EVENT_TEXT = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
+             "idle": "the rig was lost"}  # fmt: skip
 ENDINGS = ("died", "cut", "goes-on", "recorder-ended")
-DAMAGED_HINT = "palmd runs recover keeps what can be read in a new file; look for a fault of the disk"
-OTHERS = 8
-"""So many of the other times are listed."""
+DAMAGED_HINT = "palmd runs recover writes the readable part to a new file; check the disk"
+MAX_OTHERS = 8
+"""Most other interruptions that are listed."""
 
 RECENT_S = 0.25
-"""So long after a fault has gone, it is told of motion that goes on."""
+"""A fault that ended less than this long ago is still reported for continuing motion."""
 
-END_S, GAP_S, LATE_S = 0.05, 0.5, 1.0
-"""So long before its end, the end is what a question is about; so much may be missing before the next file; and so
-long after it, a question is not about it any more."""
+NEAR_END_S, CONTINUATION_GAP_S, AFTER_END_S = 0.05, 0.5, 1.0
+"""A time in the last `NEAR_END_S` of a run asks for its end; one up to `CONTINUATION_GAP_S` before the next recording
+belongs to that; times more than `AFTER_END_S` after the end are rejected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """The state that ended the motion, what stood before, and until when (s) it did not go on; infinite for the end.
+    """A hold or stop: the state before, the state `now` that ended the motion, and the time (s) until it resumed.
 
-    `hints` tell what to do, by the codes of the faults that act in that state.
+    `until` is infinite if it did not resume. `hints`: what to do, by the codes of the faults that acted.
     """
 
     before: StateChange
@@ -49,17 +58,17 @@ class Interruption:
 
     @property
     def codes(self) -> tuple[str, ...]:
-        """Of those faults."""
+        """Codes of the faults that acted."""
         return tuple(self.hints)
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why it stood at `t` (s since the run's first message), or that it did not.
+    """The result for time `t` (s since the run's first message): why the motion was interrupted, or that it was not.
 
-    recording: the file that tells it, the one that was asked or one that goes on from it. happened: in words, what was
-    done, and `since` when (s) until when. cause: what lies behind. standing: the faults that acted and how long (s)
-    each stood; hint: what to do. others: the other times at which it was held or stopped.
+    recording: the analysed file, the requested one or one that continues it. happened: what happened, as text, from
+    `since` to `until` (s). cause: the root cause. standing: the faults that acted, with durations (s). hint: what to
+    do. others: the other interruptions.
     """
 
     recording: str
@@ -75,66 +84,70 @@ class Explanation:
 
 
 def explain(run: AnyRun, at: float | None = None) -> Explanation:
-    """Why it was held or stopped at `at` (s since the first message); without a time: the last time by a fault.
+    """Explain the hold or stop at `at` (s since the first message); without a time, the last one caused by a fault.
 
-    Raises RunError for a run that tells no state, or ended before that time; OSError.
+    Raises RunError for a run without states, or one that ended before that time; OSError.
     """
-    course = course_of(run)
-    return answer(run, course, None if at is None else course.begin + at)
+    timeline = timeline_of(run)
+    return answer(run, timeline, None if at is None else timeline.begin + at)
 
 
-def answer(run: AnyRun, course: Course, t: float | None) -> Explanation:
-    """The same of a run whose course is known; `t` on its clock."""
-    found = tuple(stops(course))
-    stop = _asked(course, found, t)
-    others = tuple((each.now.t - course.begin, _in_short(each)) for each in found if each is not stop)
-    if stop is None:
-        return _not_stopped(run, course, course.end if t is None else t, others)
-    hole = course.hole(stop.before.t, stop.now.t) if run.damage.damaged else None
-    if hole is not None and stop.now.t - hole[1] < TOGETHER_S:
-        return _unknown(run, course, hole, t, others)
-    case = RunCase(course, closeup_of(run, stop.now.t), run.config, run.topics)
-    cause = of_fault(case, stop.codes, stop.now.t) if stop.codes else of_no_fault(case, stop.before, stop.now)
+def answer(run: AnyRun, timeline: Timeline, t: float | None) -> Explanation:
+    """As `explain` for a run with known timeline; `t` (s) is on its clock."""
+    found = tuple(stops(timeline))
+    interruption = _requested_stop(timeline, found, t)
+    others = tuple((each.now.t - timeline.begin, _short_text(each)) for each in found if each is not interruption)
+    if interruption is None:
+        return _not_stopped(run, timeline, timeline.end if t is None else t, others)
+    gap = timeline.gap(interruption.before.t, interruption.now.t) if run.damage.damaged else None
+    if gap is not None and interruption.now.t - gap[1] < STATE_FAULT_S:
+        return _damaged(run, timeline, gap, t, others)
+    case = RunCase(timeline, closeup_of(run, interruption.now.t), run.config, run.topics)
+    cause = (
+        of_fault(case, interruption.codes, interruption.now.t)
+        if interruption.codes
+        else of_no_fault(case, interruption.before, interruption.now)
+    )
     return Explanation(
         run.path.name,
-        (stop.now.t if t is None else t) - course.begin,
-        stop.now.state,
-        _HAPPENED.get(stop.now.state, stop.now.state),
-        stop.now.t - course.begin,
-        stop.until - course.begin,
+        (interruption.now.t if t is None else t) - timeline.begin,
+        interruption.now.state,
+        _EVENT_TEXT.get(interruption.now.state, interruption.now.state),
+        interruption.now.t - timeline.begin,
+        interruption.until - timeline.begin,
         cause,
-        tuple((code, course.stood(code, stop.now.t)) for code in stop.codes),
-        "; ".join(dict.fromkeys(stop.hints.values())),
+        tuple((code, timeline.fault_duration(code, interruption.now.t)) for code in interruption.codes),
+        "; ".join(dict.fromkeys(interruption.hints.values())),
         others,
     )
 
 
-def stops(course: Course) -> Iterator[Interruption]:
-    """Every time that what was commanded came to stand, or a fault came up while it stood."""
-    for number, (before, now) in enumerate(pairwise(course.told), 1):
-        came_to_stand = before.state in _COMMANDED and now.state in ("ready", "idle")
-        if before.state != now.state and (now.state in ("hold", "fault") or came_to_stand):
-            after = (later.t for later in course.told[number + 1 :] if later.state == "tracking")
-            acting = _ACTS.get(now.state, ())
+def stops(timeline: Timeline) -> Iterator[Interruption]:
+    """Every interruption of a run: motion that ended, or a fault while it was held."""
+    for number, (before, now) in enumerate(pairwise(timeline.states), 1):
+        motion_ended = before.state in _COMMANDED and now.state in ("ready", "idle")
+        if before.state != now.state and (now.state in ("hold", "fault") or motion_ended):
+            after = (later.t for later in timeline.states[number + 1 :] if later.state == "tracking")
+            acting = _ACTING.get(now.state, ())
             hints = {
-                code: told.hints[code]
-                for told in course.told[number:]
-                if told.t - now.t < TOGETHER_S
-                for code in told.grave(*acting)
-            } or {entry.name: TABLE[entry.name].hint for entry in _passed(course, acting, before.t, now.t)}
+                code: change.hints[code]
+                for change in timeline.states[number:]
+                if change.t - now.t < STATE_FAULT_S
+                for code in change.with_severity(*acting)
+            } or {entry.name: TABLE[entry.name].hint for entry in _brief_faults(timeline, acting, before.t, now.t)}
             yield Interruption(before, now, next(after, math.inf), hints)
 
 
-def _passed(course: Course, acting: tuple[str, ...], begin: float, end: float) -> Iterator[LogEntry]:
-    """The faults that act and have come and gone between two looks at what stands: the log alone tells of them."""
-    for entry in course.log:
-        near = max(begin, end - TOGETHER_S) < entry.t_s <= end
+def _brief_faults(timeline: Timeline, acting: tuple[str, ...], begin: float, end: float) -> Iterator[LogEntry]:
+    """Faults that acted so briefly that only the log shows them, not `palm/state`."""
+    for entry in timeline.log:
+        near = max(begin, end - STATE_FAULT_S) < entry.t_s <= end
         if near and entry.kind == "fault" and entry.severity in acting and entry.name in TABLE:
             yield entry
 
 
 def lines(answer: Explanation) -> Iterator[str]:
-    """The answer in plain words."""
+    """The explanation as lines of text."""
     cause = answer.cause
     if answer.happened and answer.cause.kind in ENDINGS:
         yield f"{answer.recording}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
@@ -148,89 +161,102 @@ def lines(answer: Explanation) -> Iterator[str]:
         yield f"{'' if number else 'evidence':10}{each.where}: {each.what}"
     for number, (code, seconds) in enumerate(answer.standing):
         text = TABLE[code].text if code in TABLE else ""
-        yield f"{'' if number else 'fault':10}{code}, stood for {seconds:.2f} s" + (f": {text}" if text else "")
+        yield f"{'' if number else 'fault':10}{code}, active for {seconds:.2f} s" + (f": {text}" if text else "")
     if answer.hint:
         yield f"do        {answer.hint}"
-    for number, (t, what) in enumerate(answer.others[-OTHERS:]):
+    for number, (t, what) in enumerate(answer.others[-MAX_OTHERS:]):
         yield f"{'' if number else 'besides':10}--at {t:.2f}  {what}"
-    if len(answer.others) > OTHERS:
-        yield f"{'':10}and {len(answer.others) - OTHERS} before"
+    if len(answer.others) > MAX_OTHERS:
+        yield f"{'':10}and {len(answer.others) - MAX_OTHERS} before"
 
 
-def _asked(course: Course, found: tuple[Interruption, ...], t: float | None) -> Interruption | None:
-    """The stop that is asked about: that in which `t` lies; None where it went on, or broke off.
+def _requested_stop(timeline: Timeline, found: tuple[Interruption, ...], t: float | None) -> Interruption | None:
+    """The interruption at `t`; None if the motion continued there, or the run had ended.
 
-    Without a time: the last one by a fault, else the last one at all; none where the run ends in motion.
+    Without a time: the last one by a fault, else the last one; None if the run ends in motion.
     """
     if t is None:
-        if course.told[-1].state == "tracking":
+        if timeline.states[-1].state == "tracking":
             return None
-        by_fault = [stop for stop in found if stop.codes]
+        by_fault = [interruption for interruption in found if interruption.codes]
         return next(reversed(by_fault or found), None)
-    lies = [stop for stop in found if stop.now.t <= t < stop.until]
-    return lies[-1] if lies and t <= course.end + LATE_S else None
+    matching = [interruption for interruption in found if interruption.now.t <= t < interruption.until]
+    return matching[-1] if matching and t <= timeline.end + AFTER_END_S else None
 
 
-def _not_stopped(run: AnyRun, course: Course, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
-    told = course.at(t) or course.told[0]
-    case = RunCase(course, closeup_of(run, min(t, course.end)), run.config, run.topics)
-    rel = t - course.begin
-    hole = course.hole(t, t) if run.damage.damaged else None
-    if hole is not None:
-        return _unknown(run, course, hole, t, others)
+def _not_stopped(run: AnyRun, timeline: Timeline, t: float, others: tuple[tuple[float, str], ...]) -> Explanation:
+    current = timeline.at(t) or timeline.states[0]
+    case = RunCase(timeline, closeup_of(run, min(t, timeline.end)), run.config, run.topics)
+    rel = t - timeline.begin
+    gap = timeline.gap(t, t) if run.damage.damaged else None
+    if gap is not None:
+        return _damaged(run, timeline, gap, t, others)
     lost_end = run.damage.cut or (run.damage.lost and run.damage.lost[-1].before_ns is None)
-    if t >= course.end - END_S and told.state in _COMMANDED and lost_end:
-        return _unknown(run, course, (course.end, math.inf), t, others)
-    if t >= course.end - END_S and told.state in _COMMANDED:
+    if t >= timeline.end - NEAR_END_S and current.state in _COMMANDED and lost_end:
+        return _damaged(run, timeline, (timeline.end, math.inf), t, others)
+    if t >= timeline.end - NEAR_END_S and current.state in _COMMANDED:
         later = _successor(run)
         if later is None:
             cause = of_end(case, being_written=_is_being_written(run))
         else:
-            goes_on = course_of(later)
-            if t >= goes_on.begin - GAP_S and t > course.end:
-                return answer(later, goes_on, t)
-            cause = of_break(case, later.path.name, goes_on.log)
-        since = course.end - course.begin
-        return Explanation(run.path.name, rel, told.state, "the recording ends", since, math.inf, cause, (), "", others)
-    if t > course.end + LATE_S:
-        end = f"{course.end - course.begin:.2f} s"
-        raise RunError(f"{run.path}: there is nothing of {rel:.2f} s in it: it ends after {end}, in state {told.state}")
-    if told.state == "tracking":
-        recent = [each for each in course.told if t - RECENT_S < each.t <= t]
-        faults = {code: severity for each in (told, *recent) for code, severity in each.faults.items()}
-        return Explanation(run.path.name, rel, told.state, "", rel, rel, of_tracking(case, faults, t), (), "", others)
-    cause = StopCause("before", "", f"it had not been commanded yet: the state was {told.state}")
-    grave = told.grave("hold", "stop")
-    if grave:
-        cause = of_fault(case, grave, told.t)
-    standing = tuple((code, course.stood(code, told.t)) for code in grave)
+            continuation = timeline_of(later)
+            if t >= continuation.begin - CONTINUATION_GAP_S and t > timeline.end:
+                return answer(later, continuation, t)
+            cause = of_continuation(case, later.path.name, continuation.log)
+        since = timeline.end - timeline.begin
+        return Explanation(
+            run.path.name, rel, current.state, "the recording ends", since, math.inf, cause, (), "", others
+        )
+    if t > timeline.end + AFTER_END_S:
+        end = f"{timeline.end - timeline.begin:.2f} s"
+        raise RunError(f"{run.path}: no data at {rel:.2f} s: the run ends after {end}, in state {current.state}")
+    if current.state == "tracking":
+        recent = [each for each in timeline.states if t - RECENT_S < each.t <= t]
+        faults = {code: severity for each in (current, *recent) for code, severity in each.faults.items()}
+        return Explanation(
+            run.path.name, rel, current.state, "", rel, rel, of_tracking(case, faults, t), (), "", others
+        )
+    cause = StopCause("before", "", f"the arm had not been commanded yet: the state was {current.state}")
+    acting = current.with_severity("hold", "stop")
+    if acting:
+        cause = of_fault(case, acting, current.t)
+    standing = tuple((code, timeline.fault_duration(code, current.t)) for code in acting)
     return Explanation(
-        run.path.name, rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others
+        run.path.name,
+        rel,
+        current.state,
+        "",
+        rel,
+        rel,
+        cause,
+        standing,
+        "; ".join(current.hints[c] for c in acting),
+        others,
     )
 
 
-def _unknown(
-    run: AnyRun, course: Course, hole: tuple[float, float], t: float | None, others: tuple[tuple[float, str], ...]
+def _damaged(
+    run: AnyRun, timeline: Timeline, gap: tuple[float, float], t: float | None, others: tuple[tuple[float, str], ...]
 ) -> Explanation:
-    """What happened in a part of the file that is damaged."""
-    begin, end = (each - course.begin for each in hole)
+    """The explanation for a time in a damaged part of the file."""
+    begin, end = (each - timeline.begin for each in gap)
     cause = of_damage(
-        described(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
+        damage_text(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
     )
-    told = course.at(hole[0])
-    state = told.state if told is not None else ""
-    rel = begin if t is None else t - course.begin
+    before = timeline.at(gap[0])
+    state = before.state if before is not None else ""
+    rel = begin if t is None else t - timeline.begin
     return Explanation(run.path.name, rel, state, "the file is damaged", begin, end, cause, (), DAMAGED_HINT, others)
 
 
 def _is_being_written(run: AnyRun) -> bool:
     with contextlib.suppress(OSError):
-        return time.time() - run.path.stat().st_mtime < LIVE_S
+        return time.time() - run.path.stat().st_mtime < BEING_WRITTEN_S
     return False
 
 
 def _successor(run: AnyRun) -> AnyRun | None:
-    """The recording beside it that says it goes on from this one; None without any."""
+    """The recording in the same folder that continues this one; None without any."""
     for path in sorted(run.path.parent.glob(f"*{SUFFIX}")):
         if path.name > run.path.name:
             with contextlib.suppress(RunError):
@@ -240,5 +266,5 @@ def _successor(run: AnyRun) -> AnyRun | None:
     return None
 
 
-def _in_short(stop: Interruption) -> str:
-    return f"{_HAPPENED.get(stop.now.state, stop.now.state)}: {', '.join(stop.codes) or 'no fault'}"
+def _short_text(each: Interruption) -> str:
+    return f"{_EVENT_TEXT.get(each.now.state, each.now.state)}: {', '.join(each.codes) or 'no fault'}"

@@ -1,1 +1,1 @@
-"""The live page: what a daemon publishes, brought into browsers, and their commands back. A process of its own."""
+"""The live page: a server process that relays a daemon's messages to browsers, and their commands to the daemon."""

@@ -1,4 +1,4 @@
-"""One page: what waits to be sent to it, which never grows."""
+"""One connected page, with a bounded send queue."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from websockets.asyncio.server import ServerConnection
 from palmd.view import wire
 from palmd.view.feed import Payload
 
-ANSWERS_MOST = 16
+MAX_ANSWERS = 16
 
 
 class PageClient:
-    """A page that takes one batch at a time; while it is busy with one, the next frames are dropped and counted."""
+    """A page that receives one batch at a time; frames that come while it is busy are dropped and counted."""
 
     def __init__(self, connection: ServerConnection, operator: bool, name: str) -> None:
-        """`operator`: whether it may give commands; `name`: what the daemon calls it, as one of its clients."""
+        """`operator`: whether it may send commands; `name`: its client name at the daemon."""
         self.operator = operator
         self.name = name
         self.lost = 0
-        self.waiting: list[str] = []  # its orders that have no answer yet
+        self.waiting: list[str] = []  # its commands without an answer
         self._connection = connection
-        self._answers: deque[str] = deque(maxlen=ANSWERS_MOST)
+        self._answers: deque[str] = deque(maxlen=MAX_ANSWERS)
         self._batch: bytes | None = None
-        self._behind = True  # it has not even the last message of every topic
+        self._behind = True  # it lacks the last message of some topics
         self._due = asyncio.Event()
 
     def offer(self, frame: int, commandable: bool, messages: list[Payload], latest: Iterable[Payload]) -> None:
-        """The messages of a frame; a page that has missed some gets the last of every topic instead."""
+        """Queue the messages of a frame; a page that has missed some gets the last message of every topic instead."""
         if self._batch is not None:
             self.lost += 1
             self._behind = True
@@ -39,8 +39,8 @@ class PageClient:
         self._behind = False
         self._due.set()
 
-    def tell(self, answer: str) -> None:
-        """An answer to an order of it."""
+    def send_answer(self, answer: str) -> None:
+        """Queue the answer to one of its orders."""
         self._answers.append(answer)
         self._due.set()
 
@@ -49,7 +49,7 @@ class PageClient:
         await self._connection.close(code, reason)
 
     async def serve(self) -> None:
-        """Send what there is as fast as it is taken, until the connection ends."""
+        """Send the queued data until the connection ends."""
         while True:
             await self._due.wait()
             self._due.clear()

@@ -1,4 +1,4 @@
-"""The page's one client of the daemon's command socket: asks, and never waits."""
+"""The server's client of the daemon's command socket, shared by all pages; it never blocks."""
 
 from __future__ import annotations
 
@@ -11,42 +11,39 @@ from palmd.keys import Credentials
 TIMEOUT_S = 2.0
 
 LEASE_S = 5.0
-"""The lease that each page declares; while it is open it renews it once a second."""
+"""Duration of the lease of each page; an open page renews it once a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandAnswer:
-    """What became of the command `number`; `error` is None when it was done."""
+    """The answer to command `number`; `error` is None if it was executed."""
 
     number: int
     error: str | None
 
 
 class PageCommands:
-    """Sends commands only to a daemon that is there: none may lie in a queue and move the arm later."""
+    """Sends commands only to a connected daemon: none may wait in a queue and move the arm later."""
 
     def __init__(self, address: str, key: Credentials | None = None) -> None:
-        """Raises CliError for what is no ZeroMQ address."""
+        """Raises CliError for an invalid ZeroMQ address."""
         self._deadlines: dict[int, float] = {}
         self._client = CommandClient(address, key=key, now_or_never=True)
 
     @property
     def open(self) -> bool:
-        """Whether somebody takes commands at the address."""
+        """Whether a daemon accepts commands at the address."""
         return self._client.open
 
     def send(self, command: str, args: Mapping[str, str | int | float], t: float, client: str) -> int | None:
-        """The number under which the answer to `command` will come, None when nobody takes it; t in s.
-
-        `client` is the page that gives it.
-        """
+        """Send a command of the page `client`; returns its number for the answer, None without a daemon. t in s."""
         number = self._client.post(command, args, client, LEASE_S)
         if number is not None:
             self._deadlines[number] = t + TIMEOUT_S
         return number
 
     def answers(self, t: float) -> list[CommandAnswer]:
-        """What has come by t (s), and what has not come in time."""
+        """The answers received by t (s), and errors for those that are overdue."""
         found: list[CommandAnswer] = []
         for reply in self._client.replies():
             number = reply["id"]
@@ -59,5 +56,5 @@ class PageCommands:
         return found
 
     def close(self) -> None:
-        """Let go of the socket, and of what nobody has taken."""
+        """Close the socket and discard unsent commands."""
         self._client.close()

@@ -1,4 +1,4 @@
-"""The page's files, read once: a request names one of them or nothing, so that no path leads anywhere else."""
+"""The page's files, read once at start; requests can name only these, so no path leads outside."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """What goes out for a path; `packed` is the body as gzip makes it, empty where that is not worth its time."""
+    """The response to a path; `packed` is the gzip-compressed body, empty for files sent uncompressed."""
 
     body: bytes
     type: str
@@ -30,7 +30,7 @@ class File:
 
     @classmethod
     def of_page(cls, body: bytes, type: str) -> Self:
-        """One that is sent often."""
+        """A file of the page, which is compressed because it is sent often."""
         return cls(body, type, gzip.compress(body, mtime=0))
 
 
@@ -42,7 +42,7 @@ _INDENTATION = re.compile(r"^[ \t]+", re.MULTILINE)
 
 
 def without_comments(text: str, suffix: str) -> str:
-    """A page's source without comments that stand alone and without indentation; every line keeps its number."""
+    """A source file without whole-line comments and indentation; line numbers do not change."""
     comments = _COMMENTS.get(suffix)
     if comments is not None:
         text = comments.sub(lambda found: "\n" * found[0].count("\n"), text)
@@ -50,14 +50,14 @@ def without_comments(text: str, suffix: str) -> str:
 
 
 def _body(path: Path) -> bytes:
-    """As it is sent: other people's code as it stands."""
+    """The body of a file as sent; third-party code is unchanged."""
     if path.parent != STATIC:
         return path.read_bytes()
     return without_comments(path.read_text(encoding="utf-8"), path.suffix).encode()
 
 
 def page_files() -> dict[str, File]:
-    """Every file of the page by its path in an address; `/` is the page itself, one more is made from the table."""
+    """Every file of the page by URL path; `/` is the page itself, `/quantities.json` is generated from the tables."""
     files = {
         f"/{path.relative_to(STATIC).as_posix()}": File.of_page(_body(path), _TYPES[path.suffix])
         for path in sorted(STATIC.rglob("*"))

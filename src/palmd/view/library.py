@@ -1,7 +1,6 @@
-"""The recorded runs and the configuration, for pages that may operate: listed, reported, fetched, deleted, checked.
+"""Recorded runs and configuration for pages that may operate: list, report, download, delete, check.
 
-What takes its time is another palmd command in a process of its own and of lower priority, so that the page's frames
-go on.
+Slow work is done by another palmd command in its own process with lower priority, so that the page's frames continue.
 """
 
 from __future__ import annotations
@@ -25,48 +24,48 @@ from palmd.yamlfile import ConfigError, load_any_config
 COMMANDS = ("runs", "report", "delete", "configuration")
 FILES = "/files/"
 SUFFIX = ".mcap"
-FILE_BYTES_MOST = 1 << 28
-"""Of a file that is sent as a whole."""
+MAX_FILE_BYTES = 1 << 28
+"""Largest file that is sent to a page."""
 
-LIVE_S = 3.0
-"""A file that was written to so lately is being recorded."""
+BEING_WRITTEN_S = 3.0
+"""A file modified less than this long ago is being recorded."""
 
 NICE = 10
 
 
 class LibraryError(Exception):
-    """What was asked for cannot be done; the text is one line that says why."""
+    """The request cannot be fulfilled; the text is one line with the reason."""
 
 
 class RunLibrary:
-    """Knows where the runs and the configuration are; `key` opens its files."""
+    """Access to the runs and the configuration; pages need `key` to download files."""
 
     def __init__(self, runs: Path | None, config: Path | None) -> None:
-        """`runs`: None for the folder that the configuration names."""
+        """`runs`: folder of the runs, None for the one in the configuration."""
         self.key = secrets.token_urlsafe(16)
         self._runs, self._config = runs, config
         self._reports = tempfile.TemporaryDirectory(prefix="palmd-reports-")
-        self._one_at_a_time = asyncio.Lock()
+        self._lock = asyncio.Lock()
 
     def close(self) -> None:
-        """Removes the reports that were made."""
+        """Remove the generated reports."""
         self._reports.cleanup()
 
-    async def obey(self, command: str, args: Mapping[str, Any]) -> dict[str, Any]:
-        """The result of one of `COMMANDS`; raises LibraryError."""
-        async with self._one_at_a_time:
+    async def execute(self, command: str, args: Mapping[str, Any]) -> dict[str, Any]:
+        """Execute one of `COMMANDS`; raises LibraryError."""
+        async with self._lock:
             match command:
                 case "runs":
-                    return await self._listed()
+                    return await self._list_runs()
                 case "report":
                     return await self._report(self._run(args))
                 case "delete":
                     return await asyncio.to_thread(self._delete, self._run(args))
                 case _:
-                    return await self._checked()
+                    return await self._check_configuration()
 
     def find(self, path: str) -> Callable[[], File] | None:
-        """Reads the file at a path under `FILES`; None where there is none, or without the key."""
+        """A function that reads the file at a URL path under `FILES`; None if it does not exist or the key is wrong."""
         key, _, name = path.removeprefix(FILES).partition("/")
         if not path.startswith(FILES) or not hmac.compare_digest(key.encode(), self.key.encode()):
             return None
@@ -77,18 +76,18 @@ class RunLibrary:
             run = self._named(name)
         except LibraryError:
             return None
-        if run.stat().st_size > FILE_BYTES_MOST:
+        if run.stat().st_size > MAX_FILE_BYTES:
             return None
         return lambda: File(run.read_bytes(), "application/octet-stream")
 
-    # -- what it does -------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
-    async def _listed(self) -> dict[str, Any]:
+    async def _list_runs(self) -> dict[str, Any]:
         folder = self._folder()
         if not folder.is_dir():
             return {"folder": str(folder), "runs": []}
-        said = await self._palmd("runs", str(folder), "--json")
-        return {"folder": str(folder), "runs": json.loads(said)}
+        output = await self._palmd("runs", str(folder), "--json")
+        return {"folder": str(folder), "runs": json.loads(output)}
 
     async def _report(self, run: Path) -> dict[str, Any]:
         output = Path(self._reports.name) / f"{run.stem}.html"
@@ -97,8 +96,8 @@ class RunLibrary:
         return {"file": output.name}
 
     def _delete(self, run: Path) -> dict[str, Any]:
-        if time.time() - run.stat().st_mtime < LIVE_S:
-            raise LibraryError(f"{run.name} is being recorded: delete it when the run is over")
+        if time.time() - run.stat().st_mtime < BEING_WRITTEN_S:
+            raise LibraryError(f"{run.name} is being recorded: delete it after the run has ended")
         try:
             run.unlink()
             run.with_suffix(".note").unlink(missing_ok=True)
@@ -107,23 +106,23 @@ class RunLibrary:
         (Path(self._reports.name) / f"{run.stem}.html").unlink(missing_ok=True)
         return {}
 
-    async def _checked(self) -> dict[str, Any]:
+    async def _check_configuration(self) -> dict[str, Any]:
         if self._config is None:
-            raise LibraryError("no configuration is known here: start palmd view --config FILE")
+            raise LibraryError("no configuration is known: start palmd view with --config FILE")
         try:
             text = self._config.read_text(encoding="utf-8", errors="replace")
         except OSError as error:
             raise LibraryError(f"{self._config} cannot be read: {error.strerror}") from None
-        said = json.loads(await self._palmd("check", "--json", str(self._config), accept=(0, 1)))
-        return {"path": str(self._config), "text": redacted(text), "findings": said["problems"]}
+        result = json.loads(await self._palmd("check", "--json", str(self._config), accept=(0, 1)))
+        return {"path": str(self._config), "text": redacted(text), "findings": result["problems"]}
 
-    # -- where things are -----------------------------------------------------------------------------------
+    # -- paths ----------------------------------------------------------------------------------------------
 
     def _folder(self) -> Path:
         if self._runs is not None:
             return self._runs
         if self._config is None:
-            raise LibraryError("no folder of runs is known here: start palmd view --runs FOLDER")
+            raise LibraryError("no folder of runs is known: start palmd view with --runs FOLDER")
         try:
             return load_any_config(self._config).record.directory
         except ConfigError as error:
@@ -133,7 +132,7 @@ class RunLibrary:
         return self._named(str(args.get("run", "")))
 
     def _named(self, name: str) -> Path:
-        """The run of that file name; nothing else can be named, so that no path leads anywhere else."""
+        """The run with that file name; only names in the folder are accepted, so no path leads outside."""
         folder = self._folder()
         try:
             with os.scandir(folder) as entries:
@@ -144,7 +143,7 @@ class RunLibrary:
         raise LibraryError(f"there is no run {name!r} in {folder}")
 
     async def _palmd(self, *arguments: str, accept: tuple[int, ...] = (0,)) -> str:
-        """Standard output of a palmd command; LibraryError with its own last line when it fails."""
+        """Standard output of a palmd command; raises LibraryError with the last line of its errors if it fails."""
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-P", "-m", "palmd", *arguments,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,

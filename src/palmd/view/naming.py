@@ -1,4 +1,4 @@
-"""What the live outline looks like, for the page: worked out beside it, for a tick of palmd has no time for that."""
+"""Shape classification of the live outline for the page; done here because the daemon's loop has no time for it."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from palmd.payload import unpacked
 from palmd.quantities import ESTIMATE, SHAPE
 
 TOPIC = "view/looks_like"
-EVERY_S = 3.0
-"""Takes some 0.15 s of a processor each time, on a thread of its own."""
+PERIOD_S = 3.0
+"""Period of the classification, which takes about 0.15 s of processor time in its own thread."""
 
 
 _COLUMNS = ("theta_rad", "h_m", "h_sd_m", "touched")
-"""Of an outline, a number for each normal."""
+"""Fields of an outline with a number for each normal."""
 
 
 class NamingError(Exception):
-    """What is published tells no outline; says why."""
+    """The published shape is not an outline; the text says why."""
 
 
-def named(latest: Mapping[str, bytes]) -> bytes | None:
-    """The page's message about the last outline in `latest` payloads; None while there is none that is vouched for.
+def shape_class_message(latest: Mapping[str, bytes]) -> bytes | None:
+    """The page's message with the class of the last outline in the `latest` payloads; None without a valid one.
 
-    Its covariance is taken for that of a smooth error as large as its band, as in reports. Raises NamingError for an
-    outline of somebody who says it otherwise than palmd does.
+    The outline's covariance is approximated by that of a smooth error with the published standard deviations, as in
+    reports. Raises NamingError for an outline in another format, as from user observers.
     """
     estimate, shape = (unpacked(latest.get(topic.name, b"")) or {} for topic in (ESTIMATE, SHAPE))
     if not estimate.get("valid") or not shape:
@@ -39,19 +39,19 @@ def named(latest: Mapping[str, bytes]) -> bytes | None:
     if not len(h):
         return None
     with one_thread():
-        told = shape_class(theta, h, root_of_band(sd, theta), touched.astype(bool))
-    return bytes(msgpack.packb({"object": estimate.get("object"), "said": told.text}))
+        classified = shape_class(theta, h, root_of_band(sd, theta), touched.astype(bool))
+    return bytes(msgpack.packb({"object": estimate.get("object"), "said": classified.text}))
 
 
 def _columns(shape: Mapping[str, object]) -> FloatArray:
-    """Normals, support function, its one-sigma and what was touched, (4, n)."""
+    """Normals, support function, its standard deviation and touched normals, (4, n)."""
     lacking = [name for name in _COLUMNS if not isinstance(shape.get(name), list)]
     if lacking:
         raise NamingError(f"{SHAPE.name} has no list {', '.join(lacking)}")
     try:
         columns: FloatArray = np.array([shape[name] for name in _COLUMNS], dtype=float)
     except (TypeError, ValueError):
-        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not equally many numbers") from None
+        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not lists of numbers of equal length") from None
     if columns.ndim != 2 or not np.isfinite(columns).all():
-        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not equally many finite numbers")
+        raise NamingError(f"{SHAPE.name}: {', '.join(_COLUMNS)} are not lists of finite numbers of equal length")
     return columns

@@ -1,9 +1,9 @@
-"""What goes between server and page. Pure.
+"""Protocol between server and page. Pure.
 
 To the page: text frames are JSON maps `{hello: …}` and `{answer: …}`; binary frames are batches, a msgpack list
-`[frame, lost, commandable, [[topic, payload], …]]` with each payload as the daemon sent it, so that nothing is decoded
-on the way. From the page: JSON maps, first `{token}`, with a `page` by which it is known again after a reload, then
-`{id, cmd}`, with `args` where the command has some.
+`[frame, lost, commandable, [[topic, payload], …]]` with undecoded payloads of the daemon. From the page: JSON maps,
+first `{token}`, with an id `page` that identifies the page after a reload, then `{id, cmd}`, with `args` if the command
+has any.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import msgpack
 from palmd.view.feed import Payload
 
 Argument = str | int | float
-_MARK = re.compile("[0-9a-z]{1,12}")
+_PAGE_ID = re.compile("[0-9a-z]{1,12}")
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """A command as the page asks for it; `id` is the page's own and comes back with the answer.
+    """A command of the page; `id` is chosen by the page and returned with the answer.
 
-    What the arguments may be the daemon knows.
+    The daemon checks the arguments.
     """
 
     id: int
@@ -35,7 +35,7 @@ class Order:
 
 
 def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload]) -> bytes:
-    """All messages of one frame; `lost` counts the frames that this page was too slow for."""
+    """Encode the messages of one frame; `lost` counts the frames that were dropped because this page was too slow."""
     return cast(bytes, msgpack.packb([frame, lost, commandable, list(messages)]))
 
 
@@ -48,36 +48,33 @@ def hello(
     client: str,
     library: str = "",
 ) -> str:
-    """The first words: who is here, whether this page may give commands, in which state each applies, and its name.
+    """The first message: version, whether the page may send commands, the states in which each applies, client name.
 
-    `library` is the key by which this page may fetch runs and reports, empty for a page that may not.
+    `library` is the key for downloads of runs and reports, empty for a page without permission.
     """
     fields = {"version": version, "operator": operator, "publish": publish, "command": command, "allowed": allowed}
     return json.dumps({"hello": fields | {"client": client, "library": library}})
 
 
 def answer(order: Order, error: str | None, result: Mapping[str, Any] | None = None) -> str:
-    """What became of an order."""
-    told = {"id": order.id, "cmd": order.command, "error": error} | ({} if result is None else {"result": result})
-    return json.dumps({"answer": told})
+    """Encode the answer to an order."""
+    fields = {"id": order.id, "cmd": order.command, "error": error} | ({} if result is None else {"result": result})
+    return json.dumps({"answer": fields})
 
 
 def token_in(text: str | bytes) -> tuple[str, str] | None:
-    """The token in a page's first message and the page's own mark, each empty when it has none.
-
-    None when that is no such message.
-    """
+    """The token and the page id in a page's first message, each empty if missing; None for other messages."""
     message = _map(text)
     if message is None or not {"token"} <= message.keys() <= {"token", "page"}:
         return None
     token, page = message["token"], message.get("page", "")
-    if not isinstance(token, str | None) or not isinstance(page, str) or not (page == "" or _MARK.fullmatch(page)):
+    if not isinstance(token, str | None) or not isinstance(page, str) or not (page == "" or _PAGE_ID.fullmatch(page)):
         return None
     return token or "", page
 
 
 def order_in(text: str | bytes) -> Order | None:
-    """The order in a later message, None when there is none."""
+    """The order in a later message, None for other messages."""
     message = _map(text)
     if message is None or type(message.get("id")) is not int or not isinstance(message.get("cmd"), str):
         return None
@@ -88,7 +85,7 @@ def order_in(text: str | bytes) -> Order | None:
 
 
 def _is_argument(value: object) -> bool:
-    """Whether msgpack can carry it: text of whole characters, or a number that is not too long."""
+    """Whether msgpack can encode it: text without surrogates, or a number that is not too large."""
     if isinstance(value, str):
         return not any("\ud800" <= letter <= "\udfff" for letter in value)
     return isinstance(value, float) or (isinstance(value, int) and abs(value) < 1 << 53)

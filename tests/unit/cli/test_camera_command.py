@@ -90,9 +90,9 @@ def test_bad_input_is_one_clear_line_and_loses_nothing(folder, tmp_path, capsys)
     for arguments, what in (
         ([str(tmp_path / "no.json"), track], "No such file"),
         ([bad["none.json"], track], "has no trajectory: too little"),
-        ([bad["list.json"], track], "is no result of a reconstruction"),
+        ([bad["list.json"], track], "is not a result of palmd reconstruct"),
         ([bad["cut.json"], track], "cut.json:1:15: not JSON"),
-        ([bad["ragged.json"], track], "lists of one length"),
+        ([bad["ragged.json"], track], "lists of equal length"),
         ([bad["null.json"], track], "h_m[0] is null, not a number"),
         ([bad["back.json"], track], "trajectory.t must increase"),
         ([result, str(tmp_path / "no.csv")], "No such file"),

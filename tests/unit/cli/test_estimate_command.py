@@ -14,7 +14,7 @@ from palmd.cli import main
 from palmd.events import Estimate, PadSample, ShapeEstimate
 from palmd.quantities import ESTIMATE, SHAPE, STAMP
 from palmd.record.eventlog import EventLog, read_log
-from palmd.record.replay import as_said, replay, texts, tick_count
+from palmd.record.replay import replay, texts, tick_count, tick_fields
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 from tools.studies.silent_observer import SilentObserver
@@ -80,7 +80,7 @@ def test_a_shape_comes_every_second():
 
 def test_lines_hold_the_fields_of_the_contract():
     (tick,) = [tick for tick in replay(run_of(7.0, 8.0), Spy()) if tick.shape]
-    estimate, shape = map(json.loads, texts(as_said(tick)))
+    estimate, shape = map(json.loads, texts(tick_fields(tick)))
     assert set(estimate) == {"t"} | {field.name for field in (*STAMP, *ESTIMATE.quantities)}
     assert estimate["t"] == estimate["timestamp"] == 8.0
     assert (estimate["mono_ns"], estimate["seq"], estimate["object"]) == (8_000_000_000, 100, 1)
@@ -88,14 +88,14 @@ def test_lines_hold_the_fields_of_the_contract():
     assert set(shape) == {"t", "shape"}
     assert set(shape["shape"]) == {field.name for field in SHAPE.quantities}
     assert len(shape["shape"]["touched"]) == 180
-    assert not any("NaN" in line for line in texts(as_said(tick)))
+    assert not any("NaN" in line for line in texts(tick_fields(tick)))
 
 
 def test_no_value_is_null():
     run = run_of(0.0, 0.01)
     spy = Spy()
     spy.estimate = lambda t: estimate_at(t, r1=math.nan, nis=math.inf)
-    ((text,),) = (list(texts(as_said(tick))) for tick in replay(run, spy))
+    ((text,),) = (list(texts(tick_fields(tick))) for tick in replay(run, spy))
     line = json.loads(text)
     assert line["r1_m"] is None
     assert line["nis"] is None
@@ -181,7 +181,7 @@ def test_standard_output_and_notes(simulated, tmp_path, capsys):
     assert main(["estimate", str(log), "-o", "-", "--observer", "extended"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out.splitlines()[0])["t"] == 0.01
-    assert "was cut off" in err
+    assert "is truncated" in err
 
 
 def test_bad_input_is_one_clear_line(simulated, tmp_path, capsys):

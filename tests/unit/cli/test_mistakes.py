@@ -187,9 +187,11 @@ MISTAKES = {
     ),
     # ------------------------------------------------------------------------------------- logs and recordings
     "a recording that is not there": Mistake(
-        "report none.mcap", 1, "none.mcap: no such file; `palmd runs FOLDER` lists what has been recorded there"
+        "report none.mcap", 1, "none.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder"
     ),
-    "a text for a recording": Mistake("report notes.txt", 1, "notes.txt: is no MCAP file", {"notes.txt": "hello\n"}),
+    "a text for a recording": Mistake(
+        "report notes.txt", 1, "notes.txt: is not an MCAP file", {"notes.txt": "hello\n"}
+    ),
     "a log without its first line": Mistake(
         "reconstruct run.jsonl -o r.json",
         1,
@@ -197,7 +199,7 @@ MISTAKES = {
         {"run.jsonl": '{"t":1}\n'},
     ),
     "a form of report that there is not": Mistake(
-        "report run.mcap -o run.doc", 1, "run.doc: a report is .html or .pdf; name it so"
+        "report run.mcap -o run.doc", 1, "run.doc: the suffix of a report must be .html or .pdf"
     ),
     "a form of export that there is not": Mistake(
         "export run.mcap -o run.xls",

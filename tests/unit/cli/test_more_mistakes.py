@@ -16,12 +16,12 @@ MISTAKES = {
     "compare with a run that is not there": Mistake(
         "compare nowhere.mcap t.tum",
         1,
-        "nowhere.mcap: no such file; `palmd runs FOLDER` lists the recordings in one",
+        "nowhere.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder",
     ),
     "compare a folder": Mistake(
         "compare runs",
         1,
-        "runs: is a folder; name the files in it",
+        "runs: is a folder; name a file",
         {"runs/a.txt": "x\n"},
     ),
     "compare one track alone": Mistake(
@@ -33,7 +33,7 @@ MISTAKES = {
     "a track with other columns": Mistake(
         "compare t.csv --reference t.csv",
         1,
-        "t.csv:1: the column t_s is missing; the header is t_s,object_x_mm,object_y_mm,object_angle_deg and more",
+        "t.csv:1: the column t_s is missing; required columns: t_s,object_x_mm,object_y_mm,object_angle_deg",
         {"t.csv": "time,x,y\n1,2,3\n"},
     ),
     "a pose of seven columns": Mistake(
@@ -57,7 +57,7 @@ MISTAKES = {
     "a result without a trajectory": Mistake(
         "compare r.json r.json",
         1,
-        "r.json: is no result of a reconstruction: it has no trajectory",
+        "r.json: is not a result of palmd reconstruct: it has no trajectory",
         {"r.json": "[]\n"},
     ),
     "a bundle of a text": Mistake(
@@ -91,7 +91,7 @@ MISTAKES = {
     "an export of a text": Mistake(
         "export notes.txt -o x.svg",
         1,
-        "notes.txt: is no MCAP file",
+        "notes.txt: is not an MCAP file",
         {"notes.txt": "hello\n"},
     ),
     "an export of half a result": Mistake(
@@ -108,7 +108,7 @@ MISTAKES = {
     "a report of a folder": Mistake(
         "report runs",
         1,
-        "runs: is a folder; a run is a file in one: `palmd runs FOLDER` lists them",
+        "runs: is a folder; name a recording in it: `palmd runs FOLDER` lists them",
         {"runs/a.txt": "x\n"},
     ),
     "a report into a folder that is not there": Mistake(
@@ -124,7 +124,7 @@ MISTAKES = {
     "why of a text": Mistake(
         "why notes.txt",
         1,
-        "notes.txt: is no MCAP file",
+        "notes.txt: is not an MCAP file",
         {"notes.txt": "hello\n"},
     ),
     "runs of a file": Mistake(
@@ -162,7 +162,7 @@ MISTAKES = {
     "a recovery of a text": Mistake(
         "runs recover notes.txt",
         1,
-        "notes.txt: is no MCAP file",
+        "notes.txt: is not an MCAP file",
         {"notes.txt": "hello\n"},
     ),
     "an empty log": Mistake(

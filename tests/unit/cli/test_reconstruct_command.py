@@ -96,7 +96,7 @@ def test_the_result_has_the_fields_of_the_contract():
     told = as_line(answer(sides=np.array([[0.5, 0.012, 0.002]])), unweighed())
     assert told["sides"] == [{"normal_rad": 0.5, "length_m": 0.012, "length_sd_m": 0.002}]
     assert line["looks_like"]["name"] is None
-    assert "flat side, or dent bridged, of 12.0 ± 2.0 mm, explains 0.0 s between 0.1 and 0.2 s" in two_palms.summary(
+    assert "flat side or bridged dent of 12.0 ± 2.0 mm, explains 0.0 s between 0.1 and 0.2 s" in two_palms.summary(
         answer(sides=np.array([[0.5, 0.012, 0.002]]))
     )
     assert as_line(nothing(), unweighed())["looks_like"] is None
@@ -178,7 +178,7 @@ def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert without_seconds(json.loads(out)) == without_seconds(result)
     note, summary = err.splitlines()
-    assert "was cut off" in note
+    assert "is truncated" in note
     assert summary.startswith(f"{cut}: outline ± ")
     for part in (" µm on ", "% of the normals", ", rho ", " mm, mu ", ", mass ", " g, "):
         assert part in summary

@@ -41,7 +41,7 @@ def test_what_cannot_be_read_stays_where_it_is(cut_off, capsys):
     assert list(read_messages(saved)) == list(recorded.messages(5))[:-2]
     assert read_run(saved).complete
     assert main(["runs", "recover", str(cut_off), "-o", str(cut_off)]) == 1
-    assert "cannot be read, and would be lost in its place" in capsys.readouterr().err
+    assert "cannot be read and would be lost" in capsys.readouterr().err
     assert cut_off.read_bytes() == before
 
 
@@ -57,12 +57,12 @@ def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys)
     path = tmp_path / "run.mcap"
     path.write_bytes(b"not a recording")
     assert main(["runs", "recover", str(path)]) == 1
-    assert capsys.readouterr().err == f"{path}: is no MCAP file\n"
+    assert capsys.readouterr().err == f"{path}: is not an MCAP file\n"
     assert path.read_bytes() == b"not a recording"
     assert main(["runs", "recover", str(tmp_path / "none.mcap")]) == 1
     assert (
         capsys.readouterr().err
-        == f"{tmp_path / 'none.mcap'}: no such file; `palmd runs FOLDER` lists what has been recorded there\n"
+        == f"{tmp_path / 'none.mcap'}: no such file; `palmd runs FOLDER` lists the recordings in a folder\n"
     )
 
 

@@ -170,7 +170,7 @@ def test_a_run_without_its_beginning_cannot_be_checked(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", without(EVENTS.name, 0, 1))
     assert main(["replay", str(path), "--check"]) == 1
     err = capsys.readouterr().err
-    assert err == f"{path}: begins with tick 2; what the observer knew by then is not in it\n"
+    assert err == f"{path}: begins with tick 2; the observer's state before is not recorded\n"
 
 
 # ---------------------------------------------------------------------------------------------- on the wire again

@@ -132,7 +132,7 @@ def test_a_stored_outline_is_recognised_on_a_cradle_and_another_is_none(stored, 
             assert told[-1].best, "nothing is valid while it is undecided"
             off.append(tick.estimate.r1 - np.interp(tick.t, truth["t"], truth["r1_m"]))
     found = verdict(each for each in told if each is not None)
-    assert found.said == (outlines[6].name if stored else NONE_OF_THESE)
+    assert found.decision == (outlines[6].name if stored else NONE_OF_THESE)
     assert bool(off) is stored
     assert not stored or np.sqrt(np.mean(np.square(off))) < 1e-4
 

@@ -20,7 +20,7 @@ from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE
 from palmd.quantities import OBJECT
 from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
-from palmd.record.replay import as_said, lines, replay
+from palmd.record.replay import lines, replay, tick_fields
 from palmd.rig.world import default_config
 from palmd.score import score_outline
 from tools.published import validate
@@ -47,8 +47,8 @@ def test_the_right_one_of_many_is_found_within_three_seconds(kind, seed):
         if tick.estimate.valid:
             assert told[-1].best, "nothing is valid while it is undecided"
     found = verdict(each for each in told if each is not None)
-    assert found.said == outlines[chosen].name
-    assert found.decided < 2.5
+    assert found.decision == outlines[chosen].name
+    assert found.decided_at < 2.5
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("friction", 32), ("rig", 33), ("odd", 34)])
@@ -57,7 +57,7 @@ def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
     run = run_with(bodies[0], kind, seed, 4.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines[1:])
     found = verdict(e for tick in replay(run.log, recogniser) if (e := recogniser.identify(tick.t)) is not None)
-    assert found.said == NONE_OF_THESE
+    assert found.decision == NONE_OF_THESE
 
 
 def test_before_the_twins_begin_none_has_its_prior():
@@ -108,14 +108,14 @@ def test_a_verdict_stands_since_it_was_said_for_good():
     found = verdict(
         [said(0.1, 0.97, 0.01, 0.02), said(0.2, 0.5, 0.5, 0.0), said(0.3, 0.96, 0, 0), said(0.4, 0.99, 0, 0)]
     )
-    assert (found.said, found.decided) == ("a", 0.3)
+    assert (found.decision, found.decided_at) == ("a", 0.3)
     found = verdict([said(0.1, 0.96, 0.0, 0.04), said(0.2, 0.0, 0.03, 0.97)])
-    assert (found.said, found.decided) == (NONE_OF_THESE, 0.2)
+    assert (found.decision, found.decided_at) == (NONE_OF_THESE, 0.2)
     assert as_line(found)["best"] == ""
     assert as_line(found)["decided_s"] == 0.2
     found = verdict([said(0.1, 0.94, 0.0, 0.06)])
-    assert found.said == ""
-    assert math.isnan(found.decided)
+    assert found.decision == ""
+    assert math.isnan(found.decided_at)
     assert as_line(found)["decided_s"] is None
     assert verdict([]) is None
 
@@ -161,7 +161,7 @@ def test_a_replay_tells_it_each_second():
     told = [
         line
         for tick in replay(run.log, observer.make("shape", run.log.rig, outlines=outlines))
-        for line in lines(as_said(tick))
+        for line in lines(tick_fields(tick))
     ]
     objects = [line for line in told if isinstance(line.get("object"), dict)]
     assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])

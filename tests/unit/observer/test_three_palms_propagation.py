@@ -33,7 +33,7 @@ from palmd.observer.three_palms.record import lay_out
 from palmd.observer.three_palms.search import SPACING_S, Task, graduated_refit
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.observer.three_palms.touched_outline import directions_near, predictive_belief
-from palmd.record.systems.three_palms import SYSTEM, laid_out
+from palmd.record.systems.three_palms import SYSTEM, path_and_readings
 from tools.studies.space import errors
 from tools.studies.space_logs import simulate
 
@@ -47,7 +47,7 @@ def laid_out_run(seed):
     head, *lines = body.lines
     rig = SYSTEM.rig(head["rig"])
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
     return path, readings, rig, body.truth
 
 

@@ -10,7 +10,7 @@ from palmd.observer.three_palms.driven import ContactCurves, nearest_balls, smoo
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.search import Task, start_candidates
-from palmd.record.systems.three_palms import SYSTEM, laid_out
+from palmd.record.systems.three_palms import SYSTEM, path_and_readings
 from palmd.system.three_palms import palms_at
 from tools.studies.space_logs import simulate
 
@@ -42,7 +42,7 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     truth, (head, *lines) = run.truth, run.lines
     rig = SYSTEM.rig(head["rig"])
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
     t = np.array(truth["t"])[: round(SECONDS / SPACING)]
     state = np.concatenate([truth["com_m"], truth["omega_rad_s"]], axis=1)[: len(t)]
     gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
@@ -59,7 +59,7 @@ def test_a_body_that_nothing_rubs_is_found_blindly():
     head, *lines = run.lines
     rig = SYSTEM.rig(head["rig"])
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
     start, end = longest_stretch(path, readings)
     first, *_ = start_candidates(Task(path, readings, ContactCurves.smoothed(readings), rig, start, end), 1.5)
     nodes = np.searchsorted(run.truth["t"], first.record.t - 0.5 * SPACING)

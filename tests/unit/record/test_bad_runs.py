@@ -15,15 +15,15 @@ from palmd.system.rig_constants import RIG_NAMES
 FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless", "unconfigured")
 TOLD = {
     "schema": "has messages of schema 7; this palmd reads schema 1",
-    "truncated": "is cut off before its first message: there is nothing left in it",
-    "prose": "is no MCAP file",
-    "empty": "is no MCAP file",
-    "magic": "is cut off before its first message: there is nothing left in it",
-    "folder": "is a folder; a run is a file in one: `palmd runs FOLDER` lists them",
-    "none": "no such file; `palmd runs FOLDER` lists what has been recorded there",
-    "foreign": "is an MCAP file, but no recording of palmd",
+    "truncated": "is truncated before its first message: there is nothing left in it",
+    "prose": "is not an MCAP file",
+    "empty": "is not an MCAP file",
+    "magic": "is truncated before its first message: there is nothing left in it",
+    "folder": "is a folder; name a recording in it: `palmd runs FOLDER` lists them",
+    "none": "no such file; `palmd runs FOLDER` lists the recordings in a folder",
+    "foreign": "is an MCAP file, but not a recording of palmd",
     "eventless": "holds no palm/events",
-    "unconfigured": "holds no configuration: neither the attached file config.yaml nor a palm/config",
+    "unconfigured": "holds no configuration: neither the attached file config.yaml nor a palm/config message",
 }
 COMMANDS = {
     "estimate": ["-o", "OUT"],
@@ -84,7 +84,7 @@ def test_an_event_log_is_no_recording(tmp_path, capsys):
     assert main(["export", str(lived.path()), "-o", str(log)]) == 0
     for command in (["replay", str(log)], ["export", str(log), "-o", str(tmp_path / "out.zip")]):
         assert main(command) == 1
-        assert capsys.readouterr().err == f"{log}: is no MCAP file\n"
+        assert capsys.readouterr().err == f"{log}: is not an MCAP file\n"
 
 
 @pytest.mark.parametrize("command", ["estimate", "export"])
@@ -95,7 +95,7 @@ def test_what_is_left_of_a_run_that_was_cut_off_is_used_and_this_is_said(tmp_pat
     cut.write_bytes(file.path.read_bytes()[: ends[6] + 11])
     assert main([command, str(cut), "-o", str(tmp_path / "out.jsonl")]) == 0
     err = capsys.readouterr().err
-    assert err.startswith(f"{cut}: the recording was not finished; what there is of it is ")
+    assert err.startswith(f"{cut}: the recording was not finished; its messages up to the end are ")
     assert err.count("\n") == 1
 
 

@@ -75,7 +75,7 @@ def test_the_table_comes_back_as_it_was_written(tmp_path):
         (("runs/1.mcap", "../1.mcap"), "truth.csv:2: run must lie in the bundle"),
         (("runs/1", "runs/2"), "truth.csv:2: there is no recording"),
         (("mass_g", "mass"), "truth.csv:2: column mass_g is missing"),
-        (("stone,runs/1.mcap,,44,36,0.05,100\n", ""), "has no object"),
+        (("stone,runs/1.mcap,,44,36,0.05,100\n", ""), "no objects listed"),
     ],
 )
 def test_a_table_that_is_not_in_order_says_where(tmp_path, change, said):

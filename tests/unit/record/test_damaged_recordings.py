@@ -151,7 +151,7 @@ def test_what_is_dated_1970_gets_the_time_of_its_neighbours(tmp_path):
 def test_a_file_of_nothing_is_refused(tmp_path):
     path = Path(tmp_path / "zero.mcap")
     path.write_bytes(bytes(100_000))
-    with pytest.raises(RunError, match="is no MCAP file"):
+    with pytest.raises(RunError, match="is not an MCAP file"):
         read_any_run(path)
 
 

@@ -20,7 +20,7 @@ from palmd.events import PadLift
 from palmd.motion.kinematics import RigGeometry
 from palmd.record.eventlog import read_log
 from palmd.record.run import read_run
-from palmd.record.scene import SceneWatch
+from palmd.record.scene import SceneBuilder
 from palmd.rig.world import default_config
 
 
@@ -213,7 +213,7 @@ def test_a_scene_goes_with_each_outline(in_json):
 
 def test_a_scene_shows_the_outline_where_the_object_is():
     truth, body = of("rig/truth")[-1], of("rig/object")[-1]
-    watch = SceneWatch(default_config())
+    watch = SceneBuilder(default_config())
     watch.take("palm/estimate", truth | {"valid": True})
     theta, h = body["theta_rad"][::2], body["h_m"][::2]
     scene = watch.take("palm/shape", {"mono_ns": truth["mono_ns"], "theta_rad": theta, "h_m": h})
@@ -237,7 +237,7 @@ def test_a_scene_shows_the_outline_where_the_object_is():
 
 
 def test_a_scene_needs_an_estimate_of_the_same_tick_with_a_place():
-    watch = SceneWatch(default_config())
+    watch = SceneBuilder(default_config())
     (shape, *_), estimate = of("palm/shape"), next(f for f in of("palm/estimate") if f["valid"])
     shape = shape | {"mono_ns": estimate["mono_ns"]}
     assert watch.take("palm/shape", shape) is None
@@ -401,4 +401,4 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path, capsys, monkeypatch):
 def test_an_export_is_no_recording(tmp_path, capsys):
     path = exported(tmp_path / "run.mcap")
     assert main(["replay", str(path)]) == 1
-    assert capsys.readouterr().err == f"{path}: is an MCAP file, but no recording of palmd\n"
+    assert capsys.readouterr().err == f"{path}: is an MCAP file, but not a recording of palmd\n"

@@ -9,7 +9,7 @@ import lived
 from palmd.cli import main
 from palmd.record.export_json import SCENE, schema
 from palmd.record.run import read_run
-from palmd.record.tables import examples
+from palmd.record.tables import field_examples
 
 LAYOUT = json.loads((Path(__file__).parents[3] / "config/foxglove.json").read_text())
 PANELS = LAYOUT["configById"]
@@ -37,7 +37,9 @@ def test_every_panel_stands_somewhere():
 
 
 def test_every_path_leads_to_a_field(tmp_path):
-    known = {topic: schema(topic, fields) for topic, fields in examples(read_run(lived.path()), lambda: None).items()}
+    known = {
+        topic: schema(topic, fields) for topic, fields in field_examples(read_run(lived.path()), lambda: None).items()
+    }
     assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.mcap")]) == 0
     found = list(paths())
     assert len(found) > 20

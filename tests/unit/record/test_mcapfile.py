@@ -192,7 +192,7 @@ def test_messages_of_a_damaged_channel_are_left_out(tmp_path):
 def test_what_is_no_mcap_file_is_refused(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
-    with pytest.raises(RunError, match="is no MCAP file"):
+    with pytest.raises(RunError, match="is not an MCAP file"):
         list(read_messages(path))
 
 

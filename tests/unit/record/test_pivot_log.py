@@ -143,9 +143,9 @@ def test_a_header_that_makes_no_sense(change, said, lines, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ({"t": 0.1, "pad": 2, "s_m": 0.02}, "pad must be 1: a pivoting grasp has one, got 2"),
-        ({"t": 0.1, "pad": 1, "s_m": 20.0}, "s_m is 20, which is no place on a pad; it is in metres"),
-        ({"t": 0.1, "arm": {"x_m": 0.01, "z_m": 20.0}}, "z_m is 20, which is no place near a pad; it is in metres"),
+        ({"t": 0.1, "pad": 2, "s_m": 0.02}, "pad must be 1, as a pivoting grasp has one pad; got 2"),
+        ({"t": 0.1, "pad": 1, "s_m": 20.0}, "s_m is 20, not a position on a pad; the unit is metres"),
+        ({"t": 0.1, "arm": {"x_m": 0.01, "z_m": 20.0}}, "z_m is 20, not a position near a pad; the unit is metres"),
         ({"t": 0.1, "arm": {"z_m": 0.02}}, "x_m is missing"),
     ],
 )

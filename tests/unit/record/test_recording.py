@@ -12,7 +12,7 @@ from palmd.quantities import CONFIG, EVENTS
 from palmd.record import recording as module
 from palmd.record import runfile
 from palmd.record.mcapread import read_layout, read_messages
-from palmd.record.recording import LONGEST_S, RETRY_S, SILENT_S, Recording
+from palmd.record.recording import MAX_FILE_S, RETRY_S, SILENT_S, Recording
 from palmd.record.run import read_any_run
 
 T0 = recorded.T0
@@ -100,8 +100,8 @@ def test_only_the_daemon_begins_a_file(disk):
 
 def test_a_long_run_goes_on_in_another_file(disk):
     disk.take(0)
-    disk.take(1, LONGEST_S - 1)
-    disk.take(2, LONGEST_S)
+    disk.take(1, MAX_FILE_S - 1)
+    disk.take(2, MAX_FILE_S)
     (first,) = disk.ended
     assert (disk.numbers(first.path), read_layout(first.path).finished) == ([0, 1], True)
     assert disk.recording.path.name == "2026-11-21T23-30-05Z.mcap"
@@ -212,7 +212,7 @@ def test_a_directory_that_cannot_be_written_is_told_and_tried_again(disk, caplog
         disk.take(number)
     assert disk.recording.problem == f"{disk.folder}: File exists"
     assert disk.recording.lost == 3
-    assert caplog.text.count("tried again") == 1
+    assert caplog.text.count("retrying every") == 1
     disk.folder.unlink()
     disk.take(3, RETRY_S)
     assert disk.recording.problem == ""

@@ -137,7 +137,9 @@ def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):
     for name in ("frame", "established", "touched", "rig", "spread"):
         del fields[name]
     run = read_run(written(tmp_path / "run.mcap", [recorded.message(IMPROVEMENT.name, fields, 0)]))
-    with pytest.raises(RunError, match=r"cannot check them; `palmd estimate \S*run.mcap` runs the smoother anew"):
+    with pytest.raises(
+        RunError, match=r"cannot be checked by this palmd; `palmd estimate \S*run.mcap` runs the smoother again"
+    ):
         next(run.improvements())
 
 
@@ -180,9 +182,9 @@ def refusal(path):
 
 def test_what_cannot_be_read_is_refused(tmp_path):
     assert refusal(tmp_path / "none.mcap").startswith("no such file; `palmd runs FOLDER` lists")
-    assert refusal(tmp_path).startswith("is a folder; a run is a file in one: `palmd runs ")
+    assert refusal(tmp_path).startswith("is a folder; name a recording in it: `palmd runs ")
     (tmp_path / "log.jsonl").write_text('{"palmd_log":1}\n')
-    assert refusal(tmp_path / "log.jsonl") == "is no MCAP file"
+    assert refusal(tmp_path / "log.jsonl") == "is not an MCAP file"
 
 
 def test_another_schema_is_refused(tmp_path):
@@ -197,7 +199,7 @@ def test_other_peoples_files_are_refused(tmp_path):
         for message in recorded.messages(1):
             writer.write(message)
         writer.finish()
-    assert refusal(path) == "is an MCAP file, but no recording of palmd"
+    assert refusal(path) == "is an MCAP file, but not a recording of palmd"
 
 
 def test_a_run_of_which_nothing_is_left_is_refused(tmp_path):
@@ -206,15 +208,13 @@ def test_a_run_of_which_nothing_is_left_is_refused(tmp_path):
     data = file.path.read_bytes()
     for length in (8, 9, 100, len(data) - ends[-1] + ends[0] - 1, ends[0] - 1):
         file.path.write_bytes(data[:length])
-        assert "is cut off before" in refusal(file.path)
+        assert "is truncated before" in refusal(file.path)
     file.path.write_bytes(data[: ends[0]])
     assert len(list(read_run(file.path).messages())) == 1
 
 
 def test_a_run_without_messages_is_refused(tmp_path):
-    assert (
-        refusal(written(tmp_path / "run.mcap", [])) == "holds no messages: the recording was finished before any came"
-    )
+    assert refusal(written(tmp_path / "run.mcap", [])) == "holds no messages: the recording ended before any arrived"
 
 
 @pytest.mark.parametrize(
@@ -223,8 +223,8 @@ def test_a_run_without_messages_is_refused(tmp_path):
         ("config.yaml", b"pads: 3", "its configuration cannot be read"),
         ("config.yaml", b"{", "its configuration cannot be read"),
         ("config.yaml", b"observer: 3", "its configuration cannot be read"),
-        ("config.yaml", b"rig: {system: sledge}", "is of a system that this palmd does not know: sledge"),
-        ("config.yaml", b"rig: {system: [1]}", "is of a system that this palmd does not know: [1]"),
+        ("config.yaml", b"rig: {system: sledge}", "is a recording of a system that this palmd does not know: sledge"),
+        ("config.yaml", b"rig: {system: [1]}", "is a recording of a system that this palmd does not know: [1]"),
         ("rig.json", b"{", "its description of the rig cannot be read"),
         ("rig.json", b'{"gravity": "much"}', "its description of the rig cannot be read"),
     ],
@@ -245,13 +245,13 @@ def test_events_that_make_no_sense_are_refused(tmp_path):
     with pytest.raises(RunError, match="palm/events, message 4"):
         list(read_run(written(tmp_path / "a.mcap", [bad])).ticks())
     garbage = recorded.RawMessage(EVENTS.name, 0, 0, 5, b"\xc1")
-    with pytest.raises(RunError, match="palm/events, message 5: is no msgpack map"):
+    with pytest.raises(RunError, match="palm/events, message 5: not a msgpack map"):
         list(read_run(written(tmp_path / "b.mcap", [garbage])).ticks())
 
 
 def test_a_run_without_events_is_no_event_log(tmp_path):
     empty = recorded.message(EVENTS.name, {**recorded.events_fields(0.0, [])}, 0)
-    with pytest.raises(RunError, match="neither pad nor arm was heard"):
+    with pytest.raises(RunError, match="no data came from pads or arm"):
         read_run(written(tmp_path / "a.mcap", [empty])).event_log()
     others = [message for message in recorded.messages(1) if message.topic != EVENTS.name]
     with pytest.raises(RunError, match="holds no palm/events"):

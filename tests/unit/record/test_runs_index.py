@@ -100,7 +100,7 @@ def test_what_is_unfinished_or_no_recording_says_so(tmp_path: Path) -> None:
     file, _ = begun(tmp_path)
     assert summary_of(file.path).complete is False
     (tmp_path / "x.mcap").write_text("hello")
-    assert summary_of(tmp_path / "x.mcap").problem == "is no MCAP file"
+    assert summary_of(tmp_path / "x.mcap").problem == "is not an MCAP file"
 
 
 def test_a_recording_is_read_once_and_again_when_it_has_changed(folder: Path, monkeypatch) -> None:
@@ -143,7 +143,7 @@ def test_the_command_lists_searches_groups_and_compares(folder: Path, capsys) ->
     assert main(["runs", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert " ".join(lines[0].split()) == "run for object touched outline ± worst ± mass faults and notes"
-    assert " ".join(lines[1].split()) == "2026-11-22T10-00-00Z – – – – – – is no MCAP file"
+    assert " ".join(lines[1].split()) == "2026-11-22T10-00-00Z – – – – – – is not an MCAP file"
     assert " ".join(lines[2].split()) == "2026-11-21T10-00-00Z 2 s cup 67 % 20 µm 90 µm 200.0 g pad1-silent"
     assert lines[-1] == f"3 runs in {folder}"
     assert main(["runs", str(folder), "--note", "2026-11-21", "with oil"]) == 0

@@ -46,7 +46,7 @@ def test_a_system_that_nobody_knows_is_refused_in_one_sentence(system, shown, lo
     for command in ("reconstruct", "estimate"):
         assert main([command, str(path), "-o", str(out)]) == 1
         err = capsys.readouterr().err
-        assert f"{path}:1: rig.system is {shown}, which this palmd does not know; it knows " in err
+        assert f"{path}:1: rig.system is {shown}, which this palmd does not know; known systems: " in err
         assert all(name in err for name in SYSTEMS if name != TWO_PALMS)
         assert err.count("\n") == 1
     assert not out.exists()
@@ -60,7 +60,7 @@ def test_a_system_is_called_by_a_name(log):
 
 
 def test_what_needs_two_palms_refuses_other_systems(log):
-    with pytest.raises(LogError, match="this needs a log of two palms"):
+    with pytest.raises(LogError, match="this command needs a log of two palms"):
         read_log(log("pivot"))
     with pytest.raises(BadLineError):
         system_of("sledge")

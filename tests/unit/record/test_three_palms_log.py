@@ -13,9 +13,9 @@ from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.record import PadReadings
 from palmd.record.logreader import LogError
-from palmd.record.meshfile import MESHES, Mesh, band_colours
+from palmd.record.meshfile import MESHES, Mesh, sd_colours
 from palmd.record.systems import read_log_of_any
-from palmd.record.systems.three_palms import laid_out
+from palmd.record.systems.three_palms import path_and_readings
 from palmd.system.three_palms import ThreePalmsRig
 from tools.studies.space_logs import header
 
@@ -46,8 +46,8 @@ def test_both_coordinates_and_the_joints_are_read(log):
     )
     system, run = read_log_of_any(path)
     assert system.name == "three_palms"
-    assert [note.split(": ")[1] for note in run.notes] == ["1 readings off the pad left out"]
-    moved, readings = laid_out(run)
+    assert [note.split(": ")[1] for note in run.notes] == ["1 readings off the pad ignored"]
+    moved, readings = path_and_readings(run)
     assert readings.pad.tolist() == [2]
     assert readings.value.tolist() == [[0.01, -0.02]]
     assert math.isnan(readings.force[0])
@@ -140,7 +140,7 @@ def test_a_ply_is_coloured_by_the_band_where_it_was_touched():
     lines = MESHES[".ply"](Mesh(0.02 * points, triangles, sd, touched)).decode().splitlines()
     first = lines.index("end_header") + 1
     vertices = [line.split() for line in lines[first : first + len(points)]]
-    assert [int(each) for each in vertices[0][3:6]] == band_colours(sd, touched)[0].tolist() == [68, 1, 84]
+    assert [int(each) for each in vertices[0][3:6]] == sd_colours(sd, touched)[0].tolist() == [68, 1, 84]
     assert vertices[2][3:6] == ["253", "231", "37"]
     assert vertices[1][3:6] == ["176"] * 3
     assert [float(row[6]) for row in vertices[:3]] == [0.003, 0.003, 0.3]

@@ -35,7 +35,7 @@ def told():
 def test_it_is_drawn_with_what_was_found(told):
     page = as_html(body_report("ball", told))
     assert page.count("<figure>") == 2
-    assert "10 µm in the mean square" in page
+    assert "10 µm RMS" in page
     assert "50.00 ± 0.10 g" in page
 
 

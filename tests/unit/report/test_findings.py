@@ -9,9 +9,9 @@ import pytest
 import reported
 
 from palmd.record.run import read_run
-from palmd.report import words
+from palmd.report import texts
 from palmd.report.findings import LEVELS, verdict_of
-from palmd.report.series import FOLLOWING_RATIO, FaultSpell, Series, TopicSeries, series_of
+from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series, TopicSeries, series_of
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +28,14 @@ def changed(series: Series, topic: str, **columns: np.ndarray) -> Series:
 def good(series: Series) -> Series:
     """Without what the made-up run has of faults, and valid all along."""
     ones = np.ones(len(series.estimate.t))
-    calm = replace(series, faults=(), rig_off=None, counts={**series.counts, "overruns": 0.0})
+    calm = replace(series, faults=(), rig_deviations=None, counts={**series.counts, "overruns": 0.0})
     return changed(calm, "estimate", valid=ones, nis=ones)
 
 
 def test_a_run_in_which_nothing_failed_is_good(series) -> None:
     verdict = verdict_of(good(series))
     assert verdict.word == "good"
-    assert words.verdict(verdict) == "good: nothing failed"
+    assert texts.verdict(verdict) == "good: nothing failed"
 
 
 def test_no_valid_estimate_is_a_failed_run_with_its_reasons(series) -> None:
@@ -57,7 +57,7 @@ def test_a_moment_without_a_valid_estimate_at_the_end_is_no_loss(series) -> None
 def test_an_object_lost_at_the_end_outweighs_a_hold(series) -> None:
     valid = np.ones(len(series.estimate.t))
     valid[-70:] = 0.0
-    hold = FaultSpell("pad1-lifted", "hold", "put the object back", 0.5, 0.7)
+    hold = FaultInterval("pad1-lifted", "hold", "put the object back", 0.5, 0.7)
     verdict = verdict_of(replace(changed(good(series), "estimate", valid=valid), faults=(hold, hold)))
     first, *others = verdict.findings
     assert "lost at the end" in first.what
@@ -65,7 +65,7 @@ def test_an_object_lost_at_the_end_outweighs_a_hold(series) -> None:
         LEVELS.index(each.level) for each in verdict.findings
     )
     (held,) = [each for each in others if each.what.startswith("pad1-lifted")]
-    assert "2 times, 0.4 s in all" in held.what
+    assert "2 times, 0.4 s in total" in held.what
     assert held.action == "put the object back"
 
 
@@ -85,4 +85,4 @@ def test_what_exceeds_its_limit_is_a_finding_with_an_action(series, topic, colum
     assert verdict.ratios[0].ratio == pytest.approx(ratio)
     (found,) = [each for each in verdict.findings if each.what.startswith(verdict.ratios[0].name)]
     assert found.action
-    assert words.ratios(verdict).rows[0][-1] == "failed"
+    assert texts.ratios(verdict).rows[0][-1] == "failed"

@@ -12,7 +12,7 @@ from palmd.record.resultfile import Result
 from palmd.record.track import CameraTrack, TrackError, read_track
 from palmd.report.camera_clock import GroundTruthError
 from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import compared
+from palmd.report.ground_truth import compare
 from tools.camera import Camera, as_csv, filmed
 from tools.studies.simulated import simulated
 
@@ -53,7 +53,7 @@ def comparison(run, track, result=None, log=True, outline=None):
     events, truth = run
     result = exact(truth) if result is None else result
     palms = [event for event in events.events if isinstance(event, PalmSample)]
-    return compared(result, motion_of(result, events.rig if log else None, palms), track, outline)
+    return compare(result, motion_of(result, events.rig if log else None, palms), track, outline)
 
 
 def offset_error(found, camera):
@@ -82,7 +82,7 @@ def test_clock_and_frame_are_found_within_their_sigmas(tmp_path, run, seed, palm
     assert found.mark.rms == pytest.approx(CAMERA.place_sd_m * math.sqrt(2), rel=0.2)
     assert found.psi.skill > 0.95
     assert found.mark.skill > 0.9
-    assert found.left_out == ()
+    assert found.omitted == ()
 
 
 def test_a_drift_is_found_where_the_record_is_long_enough(tmp_path, long_run):
@@ -127,9 +127,9 @@ def test_gaps_are_left_out_and_told(tmp_path, run):
     holed = replace(result, **{name: getattr(result, name)[..., hole] for name in ("t", "psi", "radii")})
     found = comparison(run, blind, holed)
     assert abs(offset_error(found, CAMERA)) < 5e-3
-    camera, mine = found.left_out
+    camera, mine = found.omitted
     assert camera.startswith("the camera saw nothing from 1.9")
-    assert mine.startswith("the reconstruction tells nothing from 4.99 to 6.01 s")
+    assert mine.startswith("no reconstruction from 4.99 to 6.01 s")
     assert not ((found.t > 2.0) & (found.t < 3.9)).any()
     assert not ((found.t > 5.02) & (found.t < 5.98)).any()
 
@@ -178,7 +178,7 @@ def test_what_cannot_be_compared_is_refused_with_the_reason(tmp_path, run):
     other = simulated("odd" if arm(run[0]) is None else "friction", 7, 8.0)
     for wrong, log, told in (
         (changed(no_palms, angle=lambda angle: 0 * angle), False, "the best explains 0%"),
-        (changed(track, angle=np.negative, palms=np.negative), True, "y axis pointing down"),
+        (changed(track, angle=np.negative, palms=np.negative), True, "y axis point down"),
         (changed(no_palms, angle=lambda angle: np.unwrap(angle) * math.pi / 180), False, "are they in radians"),
         (track_of(tmp_path, other), True, "the track of this run"),
         (changed(track, t=lambda t: t * 1e-3), True, "the shorter record lasts 0.01 s"),
@@ -197,7 +197,7 @@ def test_a_motion_that_repeats_itself_or_stands_still_tells_no_clock(swing, told
     nothing = np.full((len(seen), 2), np.nan)
     track = CameraTrack(seen, nothing, swing * np.sin(4.0 * seen) + noise, nothing)
     with pytest.raises(GroundTruthError, match=told):
-        compared(result, motion_of(result, None, []), track, None)
+        compare(result, motion_of(result, None, []), track, None)
 
 
 HEADER = "t_s,object_x_mm,object_y_mm,object_angle_deg"
@@ -217,8 +217,8 @@ ROWS = [f"{0.03 * i:.2f},{i},2,{i}" for i in range(40)]
         ([HEADER, *ROWS[:5], ROWS[4], *ROWS[5:]], r"csv:7: t_s is 0.12 after 0.12: time must increase"),
         ([HEADER, *ROWS[:20]], r"csv: 20 rows show the object; 30 are needed"),
         ([HEADER, *(f"{i},,nan,3" for i in range(40))], r"csv: 0 rows show the object"),
-        ([HEADER, *(f"{i},{i * 1e-4},2,3" for i in range(40))], r"moves over 0.0039 mm only: .* in metres\?"),
-        ([HEADER, *(f"{i},{i * 1e3},2,3" for i in range(40))], r"moves over 3.9e\+04 mm: .* in µm\?"),
+        ([HEADER, *(f"{i},{i * 1e-4},2,3" for i in range(40))], r"moves by only 0.0039 mm: .* in metres\?"),
+        ([HEADER, *(f"{i},{i * 1e3},2,3" for i in range(40))], r"moves by 3.9e\+04 mm: .* in µm\?"),
     ],
 )
 def test_a_track_that_cannot_be_read_is_refused_with_the_line(tmp_path, lines, told):

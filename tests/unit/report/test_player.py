@@ -58,8 +58,8 @@ def test_an_outline_is_never_shown_before_it_was_known_nor_for_another_object(tm
 
 
 def test_long_runs_are_thinned(tmp_path, monkeypatch):
-    monkeypatch.setattr(player, "MOST_FRAMES", 20)
-    monkeypatch.setattr(player, "MOST_OUTLINES", 3)
+    monkeypatch.setattr(player, "MAX_FRAMES", 20)
+    monkeypatch.setattr(player, "MAX_OUTLINES", 3)
     told = player.player_data(series(tmp_path))
     assert len(told["frames"]) <= 20
     assert len(told["outlines"]) == 3

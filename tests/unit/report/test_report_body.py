@@ -8,7 +8,7 @@ import reported
 
 from palmd.events import PalmMotion
 from palmd.record.run import read_run
-from palmd.report.body import felt_points, frames, outline_known, points, pose_at, turned
+from palmd.report.body import contact_points, frames, outline_known, points, pose_at, turned
 from palmd.report.series import series_of
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.plant import FrictionSurface, Hinge
@@ -43,7 +43,7 @@ def test_centre_is_r_away_from_each_palm_and_contacts_lie_on_them(series):
 
 
 def test_felt_points_are_the_contacts_turned_back(series):
-    felt = felt_points(series, (101,))
+    felt = contact_points(series, (101,))
     pose = pose_at(series, 101)
     back = turned(felt, pose.psi) + pose.centre[:, None]
     assert back == pytest.approx(np.stack(pose.contacts, axis=1))

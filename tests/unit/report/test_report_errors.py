@@ -7,7 +7,15 @@ import pytest
 import reported
 
 from palmd.record.run import read_run
-from palmd.report.errors import against, body_at, errors_of, inside, last_outlines, normalised, scores_over_time
+from palmd.report.errors import (
+    body_at,
+    count_within_band,
+    errors_of,
+    last_outlines,
+    normalised_errors,
+    outline_errors,
+    scores_over_time,
+)
 from palmd.report.series import series_of
 
 
@@ -25,11 +33,11 @@ def test_errors_and_how_many_are_inside(series):
     errors = errors_of(read)
     by_hand = [reported.SD_M * (3.0 if tick % 4 == 0 else 1.5) for tick in range(250)]
     assert errors.error["r1_m"] == pytest.approx(by_hand, abs=1e-12)
-    assert inside(read, errors, "r1_m") == (150, 200)  # of 2 s of valid ticks every fourth is outside
-    assert inside(read, errors, "r2_m") == (200, 200)
+    assert count_within_band(read, errors, "r1_m") == (150, 200)  # of 2 s of valid ticks every fourth is outside
+    assert count_within_band(read, errors, "r2_m") == (200, 200)
     mean = (9.0 / 4 + 2.25 * 3 / 4) / 3  # r1 alone is off
-    assert np.nanmean(normalised(read, errors)) == pytest.approx(mean)
-    assert np.isnan(normalised(read, errors)).sum() == 50
+    assert np.nanmean(normalised_errors(read, errors)) == pytest.approx(mean)
+    assert np.isnan(normalised_errors(read, errors)).sum() == 50
 
 
 def test_the_gauge_of_psi_is_taken_out(series):
@@ -70,7 +78,7 @@ def test_truth_that_begins_late_is_not_made_up(tmp_path):
     errors = errors_of(read)
     for name in ("r1_m", "psi_rad", "f1_n"):
         assert np.isnan(errors.error[name]).sum() == 100
-    assert inside(read, errors, "r2_m") == (100, 100)
+    assert count_within_band(read, errors, "r2_m") == (100, 100)
 
 
 def test_without_truth_there_are_no_errors(series):
@@ -82,13 +90,13 @@ def test_without_truth_there_are_no_errors(series):
 def test_outline_is_turned_back_and_scored(series):
     read = series()
     (outline,) = last_outlines(read)
-    found = against(outline, body_at(read, outline.t))
+    found = outline_errors(outline, body_at(read, outline.t))
     assert found.error == pytest.approx(np.full(180, reported.OFF_M), abs=1e-9)
     assert found.h == pytest.approx(reported.true_h(reported.THETA + reported.GAUGE), abs=1e-9)
-    assert found.all.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
-    assert found.all.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
-    assert math.remainder(found.all.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
-    assert found.felt.touched == pytest.approx(np.mean(outline.touched))
+    assert found.whole_score.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
+    assert found.whole_score.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
+    assert math.remainder(found.whole_score.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
+    assert found.touched_score.touched == pytest.approx(np.mean(outline.touched))
 
 
 def test_what_is_known_well_says_how_the_outline_is_turned(series):
@@ -96,7 +104,7 @@ def test_what_is_known_well_says_how_the_outline_is_turned(series):
     (outline,) = last_outlines(read)
     outline.h[90:] += 1e-3 * np.sin(3 * reported.THETA[90:])
     outline.h_sd[90:] = 2e-3
-    found = against(outline, body_at(read, outline.t))
+    found = outline_errors(outline, body_at(read, outline.t))
     assert np.abs(found.error[:90] - reported.OFF_M).max() < 2e-6
 
 

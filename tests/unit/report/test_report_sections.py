@@ -21,7 +21,7 @@ from palmd.quantities import ESTIMATE, LOOP, RIG
 from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
-from palmd.report.sections import Plate, Report, drawn, report_of
+from palmd.report.sections import CaptionedFigure, Report, rendered, report_of
 from palmd.report.series import TopicSeries, series_of
 from palmd.system.rig_constants import RIG_NAMES
 
@@ -109,9 +109,9 @@ def test_page_is_whole_and_needs_nothing_from_elsewhere(page):
 def test_page_says_what_the_run_was(page):
     text = " ".join(" ".join(Page(page).text).split())
     for words in (
-        "2026-11-21 22:30:05 UTC", "2.5 s", "observer shape", "complete", "2 begun; with a valid estimate: 1, 2",
+        "2026-11-21 22:30:05 UTC", "2.5 s", "observer shape", "complete", "2; with a valid estimate: 1, 2",
         "20 of palm/contact, 20 of palm/estimate", "e_h 4 µm", "Hausdorff 4", "r₁ 75%, r₂ 100%",
-        "mend <arm-late>", "mend <pad1-garbled>", "stands", "bad header", "counts_per_mm: 7.874",
+        "mend <arm-late>", "mend <pad1-garbled>", "to the end", "bad header", "counts_per_mm: 7.874",
     ):  # fmt: skip
         assert words in text
 
@@ -139,16 +139,18 @@ def test_the_same_run_gives_the_same_page_and_pdf(tmp_path):
 def test_without_truth_and_outline(tmp_path):
     made = report(tmp_path, reported.told(1.5, observer="extended", shapes=False, truths=False))
     assert "Coverage" not in titles(made)
-    assert "this observer tells no outline" in said(made)["outcome"]
-    sentences = [part.sentence for section in made.sections for part in section.parts if isinstance(part, Plate)]
-    assert not any("truth" in sentence for sentence in sentences)
+    assert "this observer estimates no outline" in said(made)["outcome"]
+    sentences = [
+        part.caption for section in made.sections for part in section.parts if isinstance(part, CaptionedFigure)
+    ]
+    assert not any("truth" in caption for caption in sentences)
     draw(made)
 
 
 def test_never_valid(tmp_path):
     made = report(tmp_path, reported.told(0.9, valid=False))
-    assert said(made)["outcome"] == "no estimate was ever called valid"
-    assert said(made)["objects"] == "one, never settled"
+    assert said(made)["outcome"] == "no estimate was valid"
+    assert said(made)["objects"] == "one, never valid"
     assert "Reconstruction through time" not in titles(made)
     draw(made)
 
@@ -200,7 +202,7 @@ def test_a_figure_of_a_long_run_stays_small(tmp_path):
     def points_of(figure):
         return sum(len(line.get_xdata()) for axes in figure.axes for line in axes.lines)
 
-    short = points_of(drawn(state))
+    short = points_of(rendered(state))
     random = np.random.default_rng(0)
     columns = {
         name: np.concatenate([column, column[-1] + random.normal(0, 1e-3, 20000)])
@@ -209,23 +211,23 @@ def test_a_figure_of_a_long_run_stays_small(tmp_path):
     columns["valid"][:] = 1.0
     read = replace(read, estimate=TopicSeries(np.arange(20200) * 0.01, columns))
     long = next(section for section in report_of(read).sections if section.title == "State").parts[0]
-    assert points_of(drawn(long)) < 12 * 3 * 3 * 300 + short
+    assert points_of(rendered(long)) < 12 * 3 * 3 * 300 + short
 
 
 def draw(made):
     """Everything but the writing, which takes most of the time."""
     for section in made.sections:
         for part in section.parts:
-            if isinstance(part, Plate):
+            if isinstance(part, CaptionedFigure):
                 part.draw(Figure(figsize=(7.1, part.height_in), layout="constrained"))
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["nothing.mcap"], "nothing.mcap: no such file; `palmd runs FOLDER` lists what has been recorded there"),
-        (["prose.mcap"], "prose.mcap: is no MCAP file"),
-        (["RUN", "-o", "report.txt"], "report.txt: a report is .html or .pdf; name it so"),
+        (["nothing.mcap"], "nothing.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder"),
+        (["prose.mcap"], "prose.mcap: is not an MCAP file"),
+        (["RUN", "-o", "report.txt"], "report.txt: the suffix of a report must be .html or .pdf"),
         (["RUN", "-o", "nowhere/report.html"], "nowhere/report.html: cannot be written: there is no folder nowhere"),
         (["RUN", "-o", "folder.pdf"], "folder.pdf: cannot be written: Is a directory"),
     ],
@@ -234,7 +236,7 @@ def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, l
     monkeypatch.chdir(tmp_path)
     Path("prose.mcap").write_text("not a run\n")
     Path("folder.pdf").mkdir()
-    monkeypatch.setattr("palmd.report.command._drawn", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
+    monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
     assert main(["report", *[str(path()) if each == "RUN" else each for each in arguments]]) == 1
     assert capsys.readouterr().err == line + "\n"
 
@@ -243,7 +245,7 @@ def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
     run = tmp_path / "run.html"
     run.write_bytes(path().read_bytes())
     assert main(["report", str(run), "-o", str(run)]) == 1
-    assert "is the run itself" in capsys.readouterr().err
+    assert "is the input file" in capsys.readouterr().err
     assert run.read_bytes() == path().read_bytes()
 
 
@@ -264,7 +266,7 @@ def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
 
 def test_the_name_is_the_runs_when_none_is_given(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("palmd.report.command._drawn", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
+    monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
     assert main(["report", str(path())]) == 0
     assert Path(f"{path().stem}.html").read_bytes() == b"html"
     assert capsys.readouterr().out.startswith(f"{path().stem}.html: valid ")

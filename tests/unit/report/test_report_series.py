@@ -39,16 +39,21 @@ def test_everything_is_there_at_its_time(tmp_path):
 
 def test_what_lasted_and_what_went_wrong(tmp_path):
     read = series(tmp_path, reported.told(2.5))
-    assert [spell.what for spell in read.states] == ["idle", "tracking"]
+    assert [spell.label for spell in read.states] == ["idle", "tracking"]
     assert read.states[0].end == read.states[1].begin == pytest.approx(0.2)
     assert read.states[-1].end == read.duration
-    assert [(spell.what, round(spell.begin, 6)) for spell in read.segments] == [
+    assert [(spell.label, round(spell.begin, 6)) for spell in read.segments] == [
         ("", 0.0), ("rock 0", 0.3), ("rock 1", 1.0), ("rock 2", 2.0),
     ]  # fmt: skip
     late, garbled = read.faults
-    assert (late.code, late.severity, late.hint, late.stands) == ("arm-late", "degrade", "mend <arm-late>", False)
+    assert (late.code, late.severity, late.hint, late.active_at_end) == (
+        "arm-late",
+        "degrade",
+        "mend <arm-late>",
+        False,
+    )
     assert (late.begin, late.end) == pytest.approx((0.6, 0.9))
-    assert (garbled.code, garbled.stands, garbled.end) == ("pad1-garbled", True, read.duration)
+    assert (garbled.code, garbled.active_at_end, garbled.end) == ("pad1-garbled", True, read.duration)
     assert garbled.begin == pytest.approx(1.0)
 
 

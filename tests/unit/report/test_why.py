@@ -16,7 +16,7 @@ from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.commands import Request
 from palmd.record.run import RunError, read_any_run, read_run
-from palmd.report.course import course_of
+from palmd.report.timeline import timeline_of
 from palmd.report.why import answer, explain, lines
 from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
@@ -144,8 +144,8 @@ WITHOUT_LOG = {"arm-foreign": "arm-mute"}  # a handful of bytes are lost among t
 @pytest.mark.parametrize("name", PROVOKED)
 def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
     run, t = run_of(tmp_path, PROVOKED[name])
-    course = course_of(run)
-    for each in (course, replace(course, log=())):
+    timeline = timeline_of(run)
+    for each in (timeline, replace(timeline, log=())):
         told = answer(run, each, t + LATER_S.get(name, 0.5))
         wanted = {name} if each.log else {name, WITHOUT_LOG.get(name)}
         assert told.cause.name in wanted, "\n".join(lines(told))
@@ -190,14 +190,14 @@ SERVOS = {
 def test_the_cause_is_told_of_a_rig_of_servos(provoked, tmp_path):
     act, name = SERVOS[provoked]
     run, t = run_of(tmp_path, act, config=load_config(TABLETOP))
-    told = explain(run, t + 0.5 - course_of(run).begin)
+    told = explain(run, t + 0.5 - timeline_of(run).begin)
     assert told.cause.name == name, "\n".join(lines(told))
     assert told.cause.evidence
 
 
 def test_a_break_is_told_by_the_controllers_own_code(tmp_path):
     run, t = run_of(tmp_path, lambda rig: rig.play("break", "arm"))
-    told = explain(run, t + 0.5 - course_of(run).begin)
+    told = explain(run, t + 0.5 - timeline_of(run).begin)
     assert told.cause.name == "arm-break"
     assert any("-0504" in clue.what for clue in told.cause.evidence)
 
@@ -216,8 +216,8 @@ def test_which_age_and_which_limit(tmp_path):
 def test_who_held_it_is_told_where_there_is_a_log(tmp_path):
     run, _ = run_of(tmp_path, PROVOKED["command"])
     assert "hold was requested, by ann" in explain(run).cause.sentence
-    course = course_of(run)
-    assert "somebody gave the command hold" in answer(run, replace(course, log=()), None).cause.sentence
+    timeline = timeline_of(run)
+    assert "a client sent the command hold" in answer(run, replace(timeline, log=()), None).cause.sentence
 
 
 def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
@@ -241,7 +241,7 @@ def test_a_fault_that_came_and_went_between_two_messages_is_told_by_the_log(tmp_
         rig._step()
 
     run, _ = run_of(tmp_path, wink)
-    assert not any(told.grave("hold", "stop") for told in course_of(run).told)
+    assert not any(told.with_severity("hold", "stop") for told in timeline_of(run).states)
     told = explain(run)
     assert (told.state, [code for code, _ in told.standing]) == ("hold", ["pad1-silent", "pad2-silent"])
     assert told.cause.kind not in ("command", "ended")
@@ -255,7 +255,7 @@ def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
         rig.give("start", "ann")
 
     run, t = run_of(tmp_path, hold_and_go_on)
-    begin = course_of(run).begin
+    begin = timeline_of(run).begin
     assert explain(run, t + 0.3 - begin).cause.name == "command"
     later = explain(run, t + 1.5 - begin)
     assert later.cause.name == "nothing"
@@ -265,11 +265,11 @@ def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
 
 def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
     run, t = run_of(tmp_path, lambda _rig: None, spec=SHORT)
-    begin = course_of(run).begin
+    begin = timeline_of(run).begin
     assert "is complete" in explain(run, t + 1.6 - begin).cause.sentence
     run, _ = run_of(tmp_path / "ended", lambda rig: rig.core.close())
     assert explain(run).cause.name == "ended"
-    with pytest.raises(RunError, match=r"there is nothing of 60\.00 s in it: it ends after .* in state ready"):
+    with pytest.raises(RunError, match=r"no data at 60\.00 s: the run ends after .* in state ready"):
         explain(run, 60.0)
 
 
@@ -293,7 +293,7 @@ def test_a_later_time_is_told_by_the_file_that_goes_on(tmp_path):
     rig.go(1.0)
     rig.recorder.finish()
     first, second = map(read_run, sorted(tmp_path.glob("*.mcap")))
-    told = explain(first, t + 0.5 - course_of(first).begin)
+    told = explain(first, t + 0.5 - timeline_of(first).begin)
     assert (told.recording, told.cause.name) == (second.path.name, "pad1-mute")
     told = explain(first)
     assert (told.recording, told.cause.name) == (first.path.name, "goes-on")
@@ -305,7 +305,7 @@ def test_the_command_prints_it_in_words_and_as_json(tmp_path, capsys):
     assert main(["why", str(run.path)]) == 0
     said = capsys.readouterr().out
     assert "the motion was held" in said
-    assert "why       nothing came from pad 1 any more" in said
+    assert "why       pad 1 sent no more data" in said
     assert main(["why", str(run.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["cause"]["name"] == "pad1-mute"

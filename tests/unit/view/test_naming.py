@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palmd.quantities import ESTIMATE, SHAPE
-from palmd.view.naming import NamingError, named
+from palmd.view.naming import NamingError, shape_class_message
 from tools.studies.real_objects import real_object
 
 THETA = np.arange(360) * (math.tau / 360)
@@ -24,7 +24,7 @@ def latest(*, valid: bool = True, felt: float = 1.0) -> dict[str, bytes]:
 
 
 def told(payloads: dict[str, bytes]) -> dict[str, object]:
-    payload = named(payloads)
+    payload = shape_class_message(payloads)
     assert payload is not None
     fields: dict[str, object] = msgpack.unpackb(payload)
     return fields
@@ -42,17 +42,17 @@ def test_half_a_nut_has_no_name() -> None:
 
 @pytest.mark.parametrize("without", [ESTIMATE.name, SHAPE.name])
 def test_nothing_is_said_of_what_nobody_vouches_for(without: str) -> None:
-    assert named(latest(valid=False)) is None
-    assert named({topic: payload for topic, payload in latest().items() if topic != without}) is None
+    assert shape_class_message(latest(valid=False)) is None
+    assert shape_class_message({topic: payload for topic, payload in latest().items() if topic != without}) is None
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"theta_rad": None, "touched": None}, "palm/shape has no list theta_rad, touched"),
-        ({"h_sd_m": [3e-5] * 7}, "not equally many"),
-        ({"h_m": ["a"] * 360}, "not equally many"),
-        ({"h_m": [math.nan] * 360}, "not equally many finite"),
+        ({"h_sd_m": [3e-5] * 7}, "lists of numbers of equal length"),
+        ({"h_m": ["a"] * 360}, "lists of numbers of equal length"),
+        ({"h_m": [math.nan] * 360}, "lists of finite numbers of equal length"),
     ],
 )
 def test_an_outline_that_is_said_otherwise_is_told_in_one_line(change: dict[str, object], words: str) -> None:
@@ -60,4 +60,4 @@ def test_an_outline_that_is_said_otherwise_is_told_in_one_line(change: dict[str,
     shape = msgpack.unpackb(payloads[SHAPE.name]) | change
     payloads[SHAPE.name] = msgpack.packb({name: value for name, value in shape.items() if value is not None})
     with pytest.raises(NamingError, match=words):
-        named(payloads)
+        shape_class_message(payloads)

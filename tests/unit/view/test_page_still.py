@@ -210,11 +210,11 @@ def test_a_body_in_space_is_seen_between_its_palms(still, bus):
     opened(still, bus, body_in_space(off_m=30e-6))
     for hue in ("blue", "red", "purple", "green"):  # three palms, and what is well known of the body
         still.until(lambda hue=hue: still.drawn(hue) > 300, hue)
-    still.until(lambda: still.text("off-truth") == "truth: 30\u00a0µm off, worst 30\u00a0µm", "the error")
+    still.until(lambda: still.text("error-to-truth") == "error to truth: 30\u00a0µm, worst 30\u00a0µm", "the error")
     shown = "return [...document.querySelectorAll('.strip:not([hidden]) .name')].map((each) => each.textContent)"
     assert {"h1", "ωx", "β", "γ₂", "f3"} <= set(still.script(shown))
     assert not {"r₁", "φ₁", "ρ"} & set(still.script(shown))
-    rows = "return [...document.querySelectorAll('#told tr:not([hidden]) .symbol')].map((each) => each.textContent)"
+    rows = "return [...document.querySelectorAll('#numbers tr:not([hidden]) .symbol')].map((each) => each.textContent)"
     assert "m" in still.script(rows)
     assert "ψ" not in still.script(rows)
     before = still.script("return document.getElementById('scene').toDataURL()")
@@ -236,7 +236,7 @@ def test_a_body_in_space_is_seen_between_its_palms(still, bus):
         ({"state": "ready", "cause": "stop was requested"}, "Disarmed: the arm is not commanded"),
         ({"explored_s": 28.2, "coverage": 0.98, "coverage_goal": 0.95}, "Done: 98 % in 28 s, ± 5 µm"),
         ({"explored_s": 60.0, "coverage": 0.7, "coverage_goal": 0.95}, "Ended at 70 % in 60 s"),
-        ({}, "The arm follows, no plan is running"),
+        ({}, "Armed, no plan is running"),
     ],
 )
 def test_what_is_going_on_is_said_in_words(still, bus, more, words):
@@ -250,7 +250,7 @@ def test_an_emulated_rig_that_was_starved_is_no_pads_fault(still, bus):
     messages = rig_of(2, state="hold", cause="pad 1 fell silent")
     messages["rig/stall"] = {"t_s": 1.0, "lasted_s": 0.112, "count": 3}
     opened(still, bus, messages)
-    words = "The emulated rig itself got no processor for 112 ms (3 times so far): nothing came from pads and arm."
+    words = "The emulated rig itself got no processor time for 112 ms (3 times so far): no data from pads and arm."
     still.until(lambda: still.text("reason").replace("\u00a0", " ").startswith(words), "whose fault it is")
 
 
@@ -331,7 +331,7 @@ def test_every_button_can_be_pressed_by_keyboard(still, bus):
     asks("note")
     assert bus.asked[-1]["args"] == {"text": "as hold"}
     assert still.text("answer") in ("note…", "note: done")
-    for joint, label in (("phi1", "Turn palm 1 on while held"), ("phi2", "Turn palm 2 back while held")):
+    for joint, label in (("phi1", "Turn palm 1 forward while held"), ("phi2", "Turn palm 2 back while held")):
         assert reached(f"[aria-label='{label}']")
         ActionChains(still.driver).key_down(Keys.SPACE).perform()
         steps = still.until(lambda joint=joint: jogged(joint), "some steps")
@@ -442,7 +442,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
     messages["palm/motion"] |= following
     opened(still, bus, messages)
     still.until(lambda: still.shows("jog"), "the jog pad")
-    handle = still.driver.find_element("css selector", "[aria-label='Turn palm 1 on while held']")
+    handle = still.driver.find_element("css selector", "[aria-label='Turn palm 1 forward while held']")
     still.until(handle.is_enabled, "the handle to apply")
     still.script("arguments[0].scrollIntoView({ block: 'center' })", handle)
     where = "return JSON.stringify(['[data-command=stop]', '.handle', '#explore', '#plans'].map((name) =>"

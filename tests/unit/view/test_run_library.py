@@ -80,7 +80,7 @@ def test_without_the_token_there_are_no_files(library):
     with server.page(token="guessed") as (page, hello):
         assert hello["library"] == ""
         for command in ("runs", "report", "delete", "configuration"):
-            assert "only watches" in asks(page, command, run="old.mcap")[0]
+            assert "read-only" in asks(page, command, run="old.mcap")[0]
     for key in ("", "x", "../files"):
         assert server.get(f"/files/{key}/old.mcap")[0] == 404
 

@@ -279,7 +279,7 @@ def test_without_the_token_a_page_only_watches(daemon, served, token):
     with served.page(token) as (page, hello):
         assert hello["operator"] is False
         until_commandable(page)
-        assert "only watches" in answer(page, "stop")
+        assert "read-only" in answer(page, "stop")
     assert daemon.asked(0.2) is None
 
 
@@ -310,14 +310,14 @@ def test_the_page_has_no_other_commands(daemon, served, command):
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
-        assert answer(page, command) == "the page has no such command"
+        assert answer(page, command) == "unknown command"
     assert daemon.asked(0.2) is None
 
 
 def test_a_command_never_waits_for_a_daemon_that_is_not_there(daemon, served):
     with served.page() as (page, _):
         for command in allowed():
-            assert answer(page, command) == f"nobody takes commands at {daemon.command}"
+            assert answer(page, command) == f"no daemon accepts commands at {daemon.command}"
         daemon.take_commands()
         until_commandable(page)
     assert daemon.asked(0.3) is None
@@ -358,7 +358,7 @@ def test_rubbish_is_no_order_and_does_no_harm(daemon, served, rubbish):
     with served.page() as (page, _):
         until_commandable(page)
         page.send(rubbish)
-        assert answer(page, "none") == "the page has no such command"
+        assert answer(page, "none") == "unknown command"
     assert daemon.asked(0.1) is None
 
 
@@ -457,7 +457,7 @@ def test_a_slow_page_loses_frames_and_never_grows():
         latest = {"palm/loop": b"old"}
         for frame in range(1000):
             client.offer(frame, True, [("palm/estimate", bytes(1000))], latest.items())
-            client.tell(f"answer {frame}")
+            client.send_answer(f"answer {frame}")
             await pause()
         held = [value for slot in vars(client).values() for value in (slot if hasattr(slot, "__len__") else [slot])]
         assert sum(len(value) for value in held if isinstance(value, bytes | str)) < 2500
@@ -511,7 +511,7 @@ def test_bad_input_is_told_in_one_line(capsys):
         assert main(["view", "--no-browser", "--port", port]) == 1
     told = capsys.readouterr()
     assert (told.out, told.err.count("\n")) == ("", 1)
-    assert told.err.startswith(f"127.0.0.1:{port}: cannot be had")
+    assert told.err.startswith(f"127.0.0.1:{port}: cannot be bound")
     for option in ("--address", "--command", "--truth"):
         assert main(["view", "--no-browser", "--port", "0", option, "nonsense"]) == 1
         told = capsys.readouterr()
@@ -523,7 +523,7 @@ def test_bad_input_is_told_in_one_line(capsys):
 
 
 def test_an_outline_of_a_stranger_ends_no_naming(daemon, served, monkeypatch, caplog):
-    monkeypatch.setattr(naming, "EVERY_S", 0.02)
+    monkeypatch.setattr(naming, "PERIOD_S", 0.02)
     with served.page() as (page, _):
         t_end = time.monotonic() + PATIENCE_S
         while "has no list h_sd_m" not in caplog.text and time.monotonic() < t_end:
@@ -538,4 +538,4 @@ def test_an_outline_of_a_stranger_ends_no_naming(daemon, served, monkeypatch, ca
         else:
             pytest.fail("it named nothing any more")
     told = [record.message for record in caplog.records if record.name == "palmd.view.server"]
-    assert told == ["the outline has no name: palm/shape has no list h_sd_m"]
+    assert told == ["the outline cannot be classified: palm/shape has no list h_sd_m"]

@@ -48,15 +48,15 @@ def is_shut(one):
 def test_strangers_keep_nobody_out(served):
     """Ten times as many as may wait: the oldest have to go, a page that comes last is served."""
     with contextlib.ExitStack() as stack:
-        strangers = [stack.enter_context(knock(served.port)) for _ in range(10 * module.STRANGERS_MOST)]
+        strangers = [stack.enter_context(knock(served.port)) for _ in range(10 * module.MAX_PENDING)]
         with served.page() as (_, hello):
             assert hello["operator"]
-        assert all(map(is_shut, strangers[: 9 * module.STRANGERS_MOST]))
+        assert all(map(is_shut, strangers[: 9 * module.MAX_PENDING]))
 
 
 def test_a_page_is_no_stranger_any_more(served):
     with served.page() as (page, _), contextlib.ExitStack() as stack:
-        for _ in range(3 * module.STRANGERS_MOST):
+        for _ in range(3 * module.MAX_PENDING):
             stack.enter_context(knock(served.port))
         assert answer(page, "hold")
 
@@ -74,9 +74,9 @@ def test_a_pages_flood_of_orders_waits_in_no_queue_and_holds_up_no_stop(daemon, 
         assert all("too many at once" in each for each in said)
         other.send(json.dumps({"id": 1, "cmd": "stop"}))
         came = []
-        while len(came) < module.ORDERS_MOST + 2:
+        while len(came) < module.MAX_ORDERS + 2:
             came.append(daemon.asked())
-        assert [asked["cmd"] for _, asked in came] == ["start"] * module.ORDERS_MOST + ["stop", "stop"]
+        assert [asked["cmd"] for _, asked in came] == ["start"] * module.MAX_ORDERS + ["stop", "stop"]
         assert daemon.asked(0.3) is None
         for route, asked in came[-2:]:  # whichever page's came first
             daemon.reply(route, id=asked["id"], ok=True)
@@ -87,7 +87,7 @@ def test_an_answer_makes_room_for_the_next_order(daemon, served):
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
-        for number in range(3 * module.ORDERS_MOST):
+        for number in range(3 * module.MAX_ORDERS):
             page.send(json.dumps({"id": number, "cmd": "hold"}))
             route, asked = daemon.asked()
             daemon.reply(route, id=asked["id"], ok=True)

@@ -1,4 +1,4 @@
-"""Logs of the pivoting grasp: an object held in a freely turning gripper and dragged over one pad."""
+"""Event logs of the pivoting grasp: an object held in a freely turning gripper and dragged over one pad."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.outline_curves import drawing_of
-from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
+from palmd.record.outline_curves import curves_factory
+from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 
-_FARTHEST_M = 1.0
+_MAX_DISTANCE_M = 1.0
 _PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
 
 
 @dataclass(frozen=True, slots=True)
 class PivotLog:
-    """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
+    """A run: the rig, its events in file order, and notes on omitted lines."""
 
     rig: PivotRig
     events: tuple[PivotEvent, ...]
     notes: tuple[str, ...] = ()
 
 
-class PivotForm:
-    """How logs of the pivoting grasp are read."""
+class PivotLogParser:
+    """Parser for logs of the pivoting grasp."""
 
     kinds = ("pad", "arm")
 
     def rig(self, line: Line) -> PivotRig:
-        """What line 1 says of gripper and pad."""
+        """Parse gripper and pad from line 1."""
         gripper = block(line, "gripper")
         vertical = gripper.get("vertical")
         if vertical not in ("rigid", "float"):
@@ -77,71 +77,71 @@ class PivotForm:
         return rig.known_to(_calibration_sds(line))
 
     def events(self, t: float, line: Line, rig: PivotRig) -> Iterator[PivotEvent | None]:
-        """A reading of the pad, or where the arm has the pivot, or both."""
+        """Yield the pad reading, the gripper position, or both; None for a reading off the pad."""
         if "pad" in line:
             if type(line["pad"]) is not int or line["pad"] != 1:
-                raise BadLineError(f"pad must be 1: a pivoting grasp has one, got {shown(line['pad'])}")
+                raise BadLineError(f"pad must be 1, as a pivoting grasp has one pad; got {shown(line['pad'])}")
             s = number(line, "s_m")
-            if abs(s) > _FARTHEST_M:
-                raise BadLineError(f"s_m is {s:g}, which is no place on a pad; it is in metres")
-            on_it = 0.0 < s <= rig.pad.length + MARGIN_MM * 1e-3
-            yield PadSample(t, 1, s, optional(line, "force_n")) if on_it else None
+            if abs(s) > _MAX_DISTANCE_M:
+                raise BadLineError(f"s_m is {s:g}, not a position on a pad; the unit is metres")
+            on_pad = 0.0 < s <= rig.pad.length + MARGIN_MM * 1e-3
+            yield PadSample(t, 1, s, optional(line, "force_n")) if on_pad else None
         if "arm" in line:
             yield _gripper_sample(t, block(line, "arm"))
 
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
-        """The run."""
+        """Build the log from rig, events and notes."""
         return PivotLog(rig, events, notes)
 
 
-class Pivot(PivotForm):
+class Pivot(PivotLogParser):
     """See `palmd.record.systems.System`."""
 
     name = "pivot"
 
     def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
-        """The same log of a rig that is known so well."""
+        """The log with the rig's standard deviations replaced."""
         return replace(log, rig=log.rig.known_to(sds))
 
-    def reconstruct(self, log: PivotLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
-        """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
-        del seed, say
+    def reconstruct(self, log: PivotLog, seed: int, progress: Callable[[str], None] | None = None) -> Reconstructed:
+        """Reconstruct outline about the pivot, motion and friction; `seed` is not used, as all starts are tried."""
+        del seed, progress
         answer = reconstruct(log.events, log.rig)
         line = as_line(answer, log.rig)
-        told = verdict.in_one_line(line, summary(answer) if answer.converged else "")
-        drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
-        return Reconstructed(line, told, drawing, line["reason"] or "")
+        text = verdict.in_one_line(line, summary(answer) if answer.converged else "")
+        curves = curves_factory(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
+        return Reconstructed(line, text, curves, line["reason"] or "")
 
     def tick_count(self, log: PivotLog) -> int:
-        """As `estimate` gives them."""
+        """Number of ticks that `estimate` yields."""
         return tick_count(log)
 
-    def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        """What the live observer says, tick by tick; NotYetError where two palms' outlines are given.
+    def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
+        """The live observer's estimates, tick by tick; raises NotYetError if stored outlines are given.
 
-        There is one observer, whatever `observer` says.
+        `observer` is ignored: there is a single observer.
         """
         del observer
         if outlines:
-            raise NotYetError("no stored outlines are recognised in a pivoting grasp")
+            raise NotYetError("a pivoting grasp cannot recognise stored outlines")
         return self._ticks(log)
 
-    def _ticks(self, log: PivotLog) -> Iterator[Said]:
+    def _ticks(self, log: PivotLog) -> Iterator[TickFields]:
         live = pivot_observer(log.rig, SimulatedSmoothing(log.rig))
         slides = log.rig.vertical == "float"
         events = (as_fed(event, slides=slides) for event in sorted(log.events, key=lambda event: event.t_sample))
-        for tick, t in fed(log, events, live):
-            said, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
-            yield Said(tick, t, estimate_fields(said), None if shape is None else shape_fields(shape))
+        for tick, t in feed_ticks(log, events, live):
+            estimate, shape = live.estimate(t), live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
+            yield TickFields(tick, t, estimate_fields(estimate), None if shape is None else shape_fields(shape))
 
 
 SYSTEM = Pivot()
 
 
 def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
-    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value.
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None for unknown values.
 
-    `not_told` says in words what such a run cannot tell.
+    `not_told` lists in words the quantities that the run cannot determine.
     """
     trajectory = {"t": answer.t, "psi_rad": answer.psi, "omega0_rad_s": answer.omega0}
     return {
@@ -164,23 +164,23 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
         "moment_sd_kg_m": column(answer.moment_sd),
         "inertia_pivot_kg_m2": or_none(answer.inertia_kg),
         "inertia_pivot_sd_kg_m2": or_none(answer.inertia_kg_sd),
-        "not_told": list(_not_told(rig)),
+        "not_told": list(_unobservable(rig)),
         "trajectory": {name: column(values) for name, values in trajectory.items()} if len(answer.t) else None,
         "seconds": or_none(answer.seconds),
     }
 
 
-def _not_told(rig: PivotRig) -> Iterator[str]:
+def _unobservable(rig: PivotRig) -> Iterator[str]:
     if rig.vertical == "rigid":
         yield (
             "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the"
-            " inertia about the pivot act on the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
+            " inertia about the pivot affect the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
             " inertia_pivot_m2 have no value"
         )
 
 
 def summary(answer: PivotReconstruction) -> str:
-    """One line about an answer that has converged: the outline's band where touched (RMS), friction, mass or moment."""
+    """One line on a converged result: outline's standard deviation where touched (RMS), friction, mass or moment."""
     if answer.h_sd is None or answer.touched is None or answer.moment is None or answer.moment_sd is None:
         raise ValueError("there is no outline")
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
@@ -188,7 +188,7 @@ def summary(answer: PivotReconstruction) -> str:
     weighed = (
         f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g"
         if math.isfinite(answer.mass)
-        else f"mass times distance from the pivot {moment * 1e6:.1f} ± {moment_sd * 1e6:.1f} g mm, mass not told"
+        else f"mass times distance from the pivot {moment * 1e6:.1f} ± {moment_sd * 1e6:.1f} g mm, mass unknown"
     )
     return (
         f"outline about the pivot ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals,"
@@ -199,15 +199,16 @@ def summary(answer: PivotReconstruction) -> str:
 def _gripper_sample(t: float, arm: Line) -> GripperSample:
     x, z = number(arm, "x_m"), optional(arm, "z_m")
     for name, value in (("x_m", x), ("z_m", z)):
-        if value is not None and abs(value) > _FARTHEST_M:
-            raise BadLineError(f"{name} is {value:g}, which is no place near a pad; it is in metres")
+        if value is not None and abs(value) > _MAX_DISTANCE_M:
+            raise BadLineError(f"{name} is {value:g}, not a position near a pad; the unit is metres")
     vx, ax, vz, az = (optional(arm, name) for name in _PLAN)
     return GripperSample(t, x, z, vx, ax, vz, az)
 
 
 def _calibration_sds(line: Line) -> Mapping[str, float]:
-    """How well the rig's constants are known: as the log says, else as calibrated, or known if all it names are."""
-    told: dict[str, Any] = {} if line.get("calibration_sd") is None else block(line, "calibration_sd")
-    named = [value for value in told.values() if value is not None]
+    """Standard deviations of the rig's constants: from the log; for those that it omits 0 if it gives only zeros, else
+    those of a calibrated rig."""
+    given: dict[str, Any] = {} if line.get("calibration_sd") is None else block(line, "calibration_sd")
+    named = [value for value in given.values() if value is not None]
     default = dict.fromkeys(AS_CALIBRATED, 0.0) if named and not any(named) else AS_CALIBRATED
-    return {name: not_negative(told, CALIBRATION_KEYS[name], each) for name, each in default.items()}
+    return {name: not_negative(given, CALIBRATION_KEYS[name], each) for name, each in default.items()}

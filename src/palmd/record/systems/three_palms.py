@@ -1,4 +1,4 @@
-"""Three flat palms in space: their logs read and reconstructed."""
+"""Event logs of three flat palms in space: reading, estimation and reconstruction."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from palmd.outlinefile import Outline
 from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh
-from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
+from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.record.vibration_line import read_vibration
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
 from palmd.three_palms_messages import estimate_fields, shape_fields
 
-EDGE_M = 0.01  # beyond the pad's side that a reading may still lie
+EDGE_M = 0.01  # distance beyond the pad's edge up to which a reading is accepted
 
 
 @dataclass(frozen=True, slots=True)
 class PadReading:
-    """One contact on pad 1 to 3: both coordinates (m), and the force (N) or NaN."""
+    """One contact on pad 1 to 3: both coordinates (m) and the force (N), NaN if unknown."""
 
     t: float
     pad: int
@@ -44,7 +44,7 @@ class PadReading:
 
 @dataclass(frozen=True, slots=True)
 class JointReport:
-    """The joints: measured angles (rad), and the plan's rates and accelerations where told."""
+    """The joints: measured angles (rad), and the commanded rates and accelerations if given."""
 
     t: float
     angle: tuple[float, ...]
@@ -53,7 +53,7 @@ class JointReport:
 
 @dataclass(frozen=True, slots=True)
 class ThreePalmsLog:
-    """A run: the rig, its events in the order of the file, and notes on what was left out of them."""
+    """A run: the rig, its events in file order, and notes on omitted lines."""
 
     rig: ThreePalmsRig
     events: tuple[PadReading | JointReport, ...]
@@ -72,8 +72,8 @@ class ThreePalms:
             raise BadLineError(f"rig.mechanism must be {MECHANISM}, got {shown(mechanism)}")
         pad, default, vibration = block(line, "pad"), ThreePalmsRig(), read_vibration(line)
         if vibration.relation not in RELATIONS:
-            told = shown(vibration.relation)
-            raise BadLineError(f"vibration.relation must be {' or '.join(RELATIONS)} between three palms, got {told}")
+            given = shown(vibration.relation)
+            raise BadLineError(f"vibration.relation must be {' or '.join(RELATIONS)} for three palms, got {given}")
         return ThreePalmsRig(
             gravity=positive(line, "gravity_m_s2"),
             pad=PadPlane(
@@ -93,8 +93,8 @@ class ThreePalms:
                 raise BadLineError(f"pad must be {', '.join(map(str, PALMS[:-1]))} or {PALMS[-1]}, got {shown(pad)}")
             a, b = number(line, "a_m"), number(line, "b_m")
             force = optional(line, "force_n")
-            off = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
-            yield None if off else PadReading(t, pad, a, b, math.nan if force is None else force)
+            off_pad = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
+            yield None if off_pad else PadReading(t, pad, a, b, math.nan if force is None else force)
         if "joints" in line:
             joints = block(line, "joints")
             angle = _joints(joints, "angle_rad")
@@ -108,51 +108,53 @@ class ThreePalms:
 
     def known_to(self, log: ThreePalmsLog, sds: Mapping[str, float]) -> ThreePalmsLog:
         if any(sds.values()):
-            raise NotYetError("three palms in space are taken to be exactly as described: leave --calibration-sd out")
+            raise NotYetError("three palms in space are assumed to be exactly as described: omit --calibration-sd")
         return log
 
-    def reconstruct(self, log: ThreePalmsLog, seed: int, say: Callable[[str], None] | None = None) -> Reconstructed:
-        del seed, say  # nothing is drawn at random, and it does not take long
-        joints, readings = laid_out(log)
+    def reconstruct(
+        self, log: ThreePalmsLog, seed: int, progress: Callable[[str], None] | None = None
+    ) -> Reconstructed:
+        del seed, progress  # deterministic and fast
+        joints, readings = path_and_readings(log)
         if joints is None:
-            reason = "the joints never report"
-            nothing = verdict.verdict(False, None, reason)
-            return Reconstructed(nothing, verdict.in_one_line(nothing, ""), None, reason)
+            reason = "the joints are never reported"
+            rejected = verdict.verdict(False, None, reason)
+            return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason)
         answer = reconstruct(joints, readings, log.rig)
         line = as_line(answer)
-        told = verdict.in_one_line(line, summary(answer) if answer.converged else "")
+        text = verdict.in_one_line(line, summary(answer) if answer.converged else "")
         mesh = (
             Mesh(answer.points, answer.triangles, answer.h_sd, answer.touched)
             if answer.converged and answer.points is not None
             else None
         )
-        return Reconstructed(line, told, None, line["reason"] or "", mesh)
+        return Reconstructed(line, text, None, line["reason"] or "", mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
-        """As `estimate` gives them."""
-        return tick_count(_Fed(log))
+        """Number of ticks that `estimate` yields."""
+        return tick_count(_SampleEvents(log))
 
-    def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[Said]:
-        """What the live observer says, tick by tick; NotYetError where two palms' outlines are given.
+    def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
+        """The live observer's estimates, tick by tick; raises NotYetError if stored outlines are given.
 
-        There is one observer, whatever `observer` says.
+        `observer` is ignored: there is a single observer.
         """
         del observer
         if outlines:
-            raise NotYetError("no stored outlines are recognised between three palms")
-        return self._ticks(_Fed(log))
+            raise NotYetError("three palms in space cannot recognise stored outlines")
+        return self._ticks(_SampleEvents(log))
 
-    def _ticks(self, log: _Fed) -> Iterator[Said]:
+    def _ticks(self, log: _SampleEvents) -> Iterator[TickFields]:
         live = BodyObserver(log.rig, SimulatedIncrementalSmoother(log.rig))
-        for tick, t in fed(log, log.events, live):
-            said = live.estimate(t)
+        for tick, t in feed_ticks(log, log.events, live):
+            estimate = live.estimate(t)
             shape = live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
-            told = None if shape is None else shape_fields(shape, said.object_count, said.valid)
-            yield Said(tick, t, estimate_fields(said), told)
+            published = None if shape is None else shape_fields(shape, estimate.object_count, estimate.valid)
+            yield TickFields(tick, t, estimate_fields(estimate), published)
 
 
-class _Fed:
-    """A log as a daemon has it, each event at its own time."""
+class _SampleEvents:
+    """A log with the daemon's event types, sorted by sample time."""
 
     def __init__(self, log: ThreePalmsLog) -> None:
         self.rig = log.rig
@@ -160,7 +162,7 @@ class _Fed:
 
 
 def as_fed(event: PadReading | JointReport) -> Event:
-    """An event of a log as a daemon has it."""
+    """Convert an event of a log to the daemon's event type."""
     if isinstance(event, PadReading):
         return PadSample(event.t, event.pad, event.b, None if math.isnan(event.force) else event.force, event.a)
     rate, acceleration = (None, None) if event.plan is None else event.plan
@@ -179,8 +181,8 @@ def _joints(line: Line, key: str) -> tuple[float, ...] | None:
     return tuple(number({key: value}, key) for value in values)
 
 
-def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
-    """The joints' path and the readings in the order of their times; None where two reports make no path."""
+def path_and_readings(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
+    """The joints' path and the readings in time order; the path is None with fewer than 8 joint reports."""
     reports = {event.t: event for event in log.events if isinstance(event, JointReport)}
     contacts = sorted((event for event in log.events if isinstance(event, PadReading)), key=lambda each: each.t)
     readings = PadReadings(
@@ -199,7 +201,7 @@ def laid_out(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
 
 
 def as_line(answer: BodyReconstruction) -> Line:
-    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value."""
+    """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None for unknown values."""
     shape = answer.h is not None
     return {
         **verdict.verdict(answer.converged, answer.touched, answer.reason),
@@ -228,7 +230,7 @@ def as_line(answer: BodyReconstruction) -> Line:
 
 
 def summary(answer: BodyReconstruction) -> str:
-    """One line about an answer that has converged."""
+    """One line on a converged result."""
     if answer.h_sd is None or answer.touched is None:
         raise ValueError("there is no shape")
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))

@@ -1,4 +1,4 @@
-// The page: what comes goes into the store, and the store is drawn.
+// The page: messages go into the store, and views are drawn from the store.
 
 import { ByHand } from "./byhand.js";
 import { Commands } from "./commands.js";
@@ -15,98 +15,102 @@ import { element, put, set } from "./text.js";
 import { chooseTheme, onColours } from "./theme.js";
 import { Timeline } from "./timeline.js";
 
-const OFFER_MS = 95; // between looks at what buttons do now: each third picture
-const LATE_MS = 130; // the same without pictures
-const READOUTS = 3; // looks, after which the numbers are written anew: each time costs a layout
+// Period of updates of buttons and texts: each third picture
+const UPDATE_MS = 95;
+const UPDATE_WITHOUT_PICTURE_MS = 130;
+// The numbers change at every third update, as each change costs a layout
+const READOUTS = 3;
 const DESCRIBE_MS = 3000;
-const CALM_MS = 100; // between pictures, for those who want less motion
+// Period of pictures for users who prefer reduced motion
+const CALM_MS = 100;
 
 layOut();
 const store = new Store();
-let wanted = true; // whether there is something new to be seen
-const want = () => (wanted = true);
-const scene = new Scene(document.getElementById("scene"), want);
+// Whether the picture is out of date
+let dirty = true;
+const redraw = () => (dirty = true);
+const scene = new Scene(document.getElementById("scene"), redraw);
 const byName = (...names) => Object.fromEntries(names.map((name) => [name, document.getElementById(`window-${name}`)]));
-const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "says"), (share) => strips.point(share));
+const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "label"), (fraction) => strips.point(fraction));
 const strips = new Strips(document.getElementById("strips"), timeline, store);
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let connected = false;
-let ended = false; // by whoever served the page
+let ended = false; // the server has been stopped
 let hello = null;
-let [drawnAt, toldAt] = [-Infinity, -Infinity];
+let [drawnAt, updatedAt] = [-Infinity, -Infinity];
 let frames = [];
-let looks = 0;
+let updates = 0;
 
 const connection = new Connection({
-  hello(said) {
-    [connected, ended, hello] = [true, false, said];
-    commands.greet(said);
+  hello(message) {
+    [connected, ended, hello] = [true, false, message];
+    commands.setHello(message);
     opened(view);
   },
-  messages(came) {
+  messages(received) {
     const now = performance.now();
-    for (const [topic, fields] of came) {
+    for (const [topic, fields] of received) {
       store.take(topic, fields, now);
       if (topic === "palm/log") log.take(fields, Date.now() / 1000 - seconds(fields));
     }
   },
   batch({ commandable }) {
-    commands.reach(commandable);
+    commands.setCommandable(commandable);
     commands.renew(performance.now());
-    want();
+    redraw();
   },
-  answer(said) {
-    commands.answer(said);
+  answer(message) {
+    commands.answer(message);
   },
-  lost(over) {
-    if (over) showSummary();
-    [connected, ended] = [false, ended || over];
-    commands.greet(null);
+  lost(stopped) {
+    if (stopped) showSummary();
+    [connected, ended] = [false, ended || stopped];
+    commands.setHello(null);
   },
 });
 const commands = new Commands(document.getElementById("commands"), connection);
 const byHand = new ByHand(document.getElementById("by-hand"), commands);
-const library = (command, args, told, ms) => commands.give(command, args, told, ms);
+const library = (command, args, onAnswer, ms) => commands.give(command, args, onAnswer, ms);
 const log = new Console();
 const runs = opening(() => import("./runs.js"), ({ Runs }) => new Runs(library));
 const configuration = opening(() => import("./configuration.js"), ({ Configuration: View }) => new View(library));
 let view = "live";
 const tabs = new Tabs(document.getElementById("tabs"), opened);
 
-/** A view that is loaded when it is first opened. */
+/** A function that loads and makes a view when it is first called. */
 function opening(load, make) {
   let made = null;
   return () => (made ??= load().then(make));
 }
 
-/** A view has been opened: it shows what is so now. */
+/** Called when a view is opened: updates it. */
 async function opened(name) {
   view = name;
-  log.look(name === "log");
-  want();
+  log.setVisible(name === "log");
+  redraw();
   if (name === "runs") (await runs()).list(hello);
   if (name === "configuration") (await configuration()).show();
 }
 
-/** A frame of the display. Words change with a picture where one comes, as the browser composes both at once. */
+/** A frame of the display. Texts are updated together with a picture if possible, as the browser composes both at once. */
 function frame(now) {
-  requestAnimationFrame(frame); // always: to begin with frames again costs more than to be asked for nothing
-  const pictured = wanted && view === "live" && !(calm.matches && now - drawnAt < CALM_MS);
+  requestAnimationFrame(frame); // always: restarting the frames would cost more than idle ones
+  const pictured = dirty && view === "live" && !(calm.matches && now - drawnAt < CALM_MS);
   if (pictured) draw(now);
-  if (now - toldAt < (pictured ? OFFER_MS : LATE_MS)) return;
-  toldAt = now;
-  tell();
+  if (now - updatedAt < (pictured ? UPDATE_MS : UPDATE_WITHOUT_PICTURE_MS)) return;
+  updatedAt = now;
+  update();
 }
 
 function draw(now) {
-  wanted = false;
+  dirty = false;
   frames.push(now);
   drawnAt = now;
   scene.draw(store, drawnAt);
   strips.draw(store, calm.matches ? strips.length : 1, drawnAt);
 }
 
-function tell() {
+function update() {
   const now = performance.now();
   const stale = !connected || store.stale(now);
   const replayed = store.replayed(now);
@@ -115,12 +119,12 @@ function tell() {
   commands.offer(store, stale, replayed);
   byHand.offer(store, stale);
   showStaleness(now, stale);
-  if (ended || looks++ % READOUTS) return; // what was known in the end stays
+  if (ended || updates++ % READOUTS) return; // after the end the last values stay
   showReadouts(store, now, frames.length);
   showHero(store, now);
   showEvents(document.getElementById("events"), store.get("palm/log"), seconds(store.get("palm/estimate")));
   const truthful = store.truthful(now);
-  strips.tell(store, truthful);
+  strips.update(store, truthful);
   showLegend(truthful);
 }
 
@@ -129,33 +133,33 @@ function showLegend(truthful) {
   set("magnification", scene.factor ? `×${scene.factor}` : "");
 }
 
-/** What is old is said to be, and looks it. */
+/** Marks old data. */
 function showStaleness(now, stale) {
-  const heard = Number.isFinite(store.palmAt);
+  const received = Number.isFinite(store.palmAt);
   document.body.classList.toggle("stale", stale && !ended);
   document.body.classList.toggle("over", ended);
   put(document.getElementById("ended"), "hidden", !ended);
   put(document.getElementById("stale"), "hidden", !stale);
   if (!stale) return;
-  set("stale-why", ended ? "Over: whoever served this page has ended it."
-    : !connected ? "Stale: no connection to palmd view, trying again."
-    : heard ? "Stale: palmd says nothing." : `Waiting for a palmd at ${hello.publish}.`);
-  set("stale-age", heard ? `The picture is ${((now - store.palmAt) / 1000).toFixed(0)} s old.` : "");
+  set("stale-why", ended ? "Disconnected: the server stopped."
+    : !connected ? "Stale: no connection to palmd view, reconnecting."
+    : received ? "Stale: no data from palmd." : `Waiting for palmd at ${hello.publish}.`);
+  set("stale-age", received ? `The picture is ${((now - store.palmAt) / 1000).toFixed(0)} s old.` : "");
 }
 
-/** What has come of it, in the end. */
+/** Shows the final result. */
 function showSummary() {
   set("state", "over");
   document.getElementById("state").dataset.state = "unknown";
   set("state-means", "");
   set("ended-title", store.has("rig/object") ? "The demo has ended" : "palmd view has ended");
-  document.getElementById("summary").replaceChildren(...summary(store, store.palmAt).flatMap(([what, found]) =>
-    [element("dt", "", what), element("dd", "", found)]));
+  document.getElementById("summary").replaceChildren(...summary(store, store.palmAt).flatMap(([name, value]) =>
+    [element("dt", "", name), element("dd", "", value)]));
 }
 
 document.getElementById("magnify").addEventListener("change", ({ target }) => scene.setLens(target.checked));
 onColours(() => {
-  want();
+  redraw();
   strips.recolour();
 });
 document.getElementById("all-events").addEventListener("click", () => tabs.open("log"));

@@ -1,17 +1,22 @@
-// What an operator does besides the buttons: explores, begins a new object, jogs while a button is held, loads plans, writes notes.
+// Manual control besides the command buttons: explore, new object, jog while a button is held, load plans, write notes.
 
 import { onSecondPress } from "./guard.js";
-import { underWay } from "./knowledge.js";
+import { planRunning } from "./knowledge.js";
 import { Plans } from "./plans.js";
 import { palmsOf } from "./quantities.js";
 import { element, number, put, set } from "./text.js";
 
-const STEP_DEG = 0.4; // 8 degrees a second, as `palmd jog`
-const EVERY_MS = 50; // the daemon brakes when the next step is 200 ms late
+// 8 degrees per second, as `palmd jog`
+const STEP_DEG = 0.4;
+// The daemon brakes if the next step is 200 ms late
+const EVERY_MS = 50;
 const EXPLORE = "explore.yaml";
-const EXPLORATION = "{name: explore, segments: [{explore: {coverage: 0.95, time_limit_s: 90}}]}"; // where no plan of that name is
-const UNJOGGED = 3; // looks between new angles where nobody jogs: each costs a layout
-const UNANSWERED_MOST = 3; // a line that is held up may not move the palms later
+// Used if there is no plan of that name
+const EXPLORATION = "{name: explore, segments: [{explore: {coverage: 0.95, time_limit_s: 90}}]}";
+// Without jogging the angles change at every third update, as each change costs a layout
+const ANGLE_UPDATES = 3;
+// Unanswered jog steps; delayed ones must not move the palms later
+const MAX_UNANSWERED = 3;
 
 export class ByHand {
   #commands;
@@ -19,18 +24,19 @@ export class ByHand {
   #pads = document.getElementById("jog");
   #plans;
   #explore = document.getElementById("explore");
-  #anew = document.getElementById("new-object");
-  #laidOut = ""; // the palms
+  #newObject = document.getElementById("new-object");
+  // The joints that have buttons
+  #laidOut = "";
   #store = null;
   #timer = 0;
   #unanswered = 0;
-  #looks = 0;
+  #updates = 0;
 
   constructor(section, commands) {
     [this.#section, this.#commands] = [section, commands];
     this.#plans = new Plans(document.getElementById("plans"), (path) => commands.give("plan", { path }));
     onSecondPress(this.#explore, () => this.#beginExploring());
-    onSecondPress(this.#anew, () => commands.give("new_object"));
+    onSecondPress(this.#newObject, () => commands.give("new_object"));
     document.getElementById("annotate").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#annotate(document.getElementById("note"));
@@ -40,7 +46,7 @@ export class ByHand {
     }
   }
 
-  /** Lays out what `store` knows of the rig, and enables what applies. */
+  /** Creates the buttons for the rig in `store`, and enables those that apply. */
   offer(store, stale) {
     const info = store.get("palm/info");
     const motion = store.get("palm/motion");
@@ -48,32 +54,32 @@ export class ByHand {
     this.#store = store;
     put(this.#section, "hidden", !this.#commands.operator);
     this.#layOut(info);
-    // only two palms are jogged, and they are the system that has no name
+    // only two palms can be jogged; they are the system without a name
     for (const part of [document.getElementById("jog-line"), this.#pads]) put(part, "hidden", Boolean(info.system));
-    const moving = underWay(store);
+    const moving = planRunning(store);
     const jogs = this.#commands.applies("jog", state, stale) && !moving;
     for (const button of this.#pads.querySelectorAll("button")) put(button, "disabled", !jogs);
     if (!jogs) this.#letGo();
-    set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
+    set("jog-hint", jogs ? "" : moving ? "hold the plan first" : "arm first");
     const loads = !moving && this.#commands.applies("plan", state, stale);
     this.#plans.offer(store, loads);
     put(this.#explore, "disabled", !loads);
-    put(this.#anew, "disabled", Boolean(info.system) || !this.#commands.applies("new_object", state, stale));
+    put(this.#newObject, "disabled", Boolean(info.system) || !this.#commands.applies("new_object", state, stale));
     put(document.getElementById("send-note"), "disabled", !this.#commands.applies("note", state, stale));
-    if (!jogs && this.#looks++ % UNJOGGED) return;
+    if (!jogs && this.#updates++ % ANGLE_UPDATES) return;
     for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
   }
 
-  /** Arms if need be, loads the exploration and starts it, each once the one before is done. */
+  /** Arms if necessary, loads the exploration and starts it, one step after the other. */
   #beginExploring() {
     const { plans = [] } = this.#store.get("palm/info");
     const plan = plans.includes(EXPLORE) ? { path: EXPLORE } : { path: EXPLORE, text: EXPLORATION };
     const armed = this.#store.get("palm/state").state !== "ready";
     const steps = [...(armed ? [] : [["arm", {}]]), ["plan", plan], ["start", {}]];
     const next = (error) => {
-      if (error) this.#commands.tell(error, true);
+      if (error) this.#commands.show(error, true);
       else if (steps.length) this.#commands.give(...steps.shift(), next);
-      else this.#commands.tell("explore: done");
+      else this.#commands.show("explore: done");
     };
     next(null);
   }
@@ -93,18 +99,18 @@ export class ByHand {
       element("span", "jogged", `palm ${palm}`),
       this.#handle(joint, -1, `Turn palm ${palm} back while held`, "−"),
       Object.assign(element("output", "number", "–"), { id: `jog-${joint}` }),
-      this.#handle(joint, 1, `Turn palm ${palm} on while held`, "+"),
+      this.#handle(joint, 1, `Turn palm ${palm} forward while held`, "+"),
     ]));
   }
 
-  /** A button that turns a joint for as long as it is held down, by pointer, space or enter. */
-  #handle(joint, way, label, text) {
+  /** A button that turns a joint while it is held down by pointer, space or enter. */
+  #handle(joint, direction, label, text) {
     const button = Object.assign(element("button", "handle", text), { type: "button", disabled: true });
     button.setAttribute("aria-label", label);
-    const hold = () => this.#hold({ [`${joint}_deg`]: way * STEP_DEG });
+    const hold = () => this.#hold({ [`${joint}_deg`]: direction * STEP_DEG });
     button.addEventListener("pointerdown", ({ button: which, pointerId }) => {
       if (which !== 0) return;
-      if (button.hasPointerCapture(pointerId)) button.releasePointerCapture(pointerId); // a finger that slips off lets go
+      if (button.hasPointerCapture(pointerId)) button.releasePointerCapture(pointerId); // a finger that leaves the button releases it
       hold();
     });
     button.addEventListener("keydown", (event) => {
@@ -113,18 +119,18 @@ export class ByHand {
       if (!event.repeat) hold();
     });
     for (const end of ["keyup", "blur", "pointerleave"]) button.addEventListener(end, () => this.#letGo());
-    button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is no menu
+    button.addEventListener("contextmenu", (event) => event.preventDefault()); // no menu on a long touch
     return button;
   }
 
   #hold(args) {
     this.#letGo();
     const step = () => {
-      if (this.#unanswered >= UNANSWERED_MOST) return;
+      if (this.#unanswered >= MAX_UNANSWERED) return;
       this.#unanswered += 1;
       const sent = this.#commands.give("jog", args, (error) => {
         this.#unanswered -= 1;
-        if (error) this.#refused(error);
+        if (error) this.#stopWithError(error);
       });
       if (!sent) {
         this.#unanswered -= 1;
@@ -135,7 +141,7 @@ export class ByHand {
     step();
   }
 
-  #refused(error) {
+  #stopWithError(error) {
     this.#letGo();
     document.getElementById("answer").classList.add("bad");
     set("answer", error);

@@ -1,4 +1,4 @@
-// The daemon's configuration as its file has it, with what `palmd check` finds in it.
+// The daemon's configuration file, with the findings of `palmd check`.
 
 import { element, set } from "./text.js";
 
@@ -13,16 +13,16 @@ export class Configuration {
     document.getElementById("check-again").addEventListener("click", () => this.show());
   }
 
-  /** Reads and checks it anew. */
+  /** Reads and checks the file again. */
   show() {
-    set("config-says", "checking…");
+    set("config-status", "checking…");
     this.#library("configuration", {}, (error, result) => {
       if (error) {
-        set("config-says", error);
+        set("config-status", error);
         return;
       }
       const { path, text, findings } = result;
-      set("config-says", findings.length ? `${path}: ${findings.length} found by palmd check` : `${path}: palmd check finds nothing wrong`);
+      set("config-status", findings.length ? `${path}: ${findings.length} findings of palmd check` : `${path}: no findings of palmd check`);
       const list = document.getElementById("findings");
       list.replaceChildren(...findings.map(({ file, line, column, text: what }) =>
         element("li", "fault", `${line === null ? file : `${file}:${line}:${column}`}: ${what}`)));

@@ -1,19 +1,19 @@
-// The socket to `palmd view`: shows the token, hands on what comes, and connects again by itself.
+// The socket to `palmd view`: sends the token, passes on messages, and reconnects automatically.
 
 import { decode } from "./msgpack.js";
 
-const AGAIN_MS = [250, 500, 1000, 2000];
-const GOING_AWAY = 1001; // the server has been ended, not lost
+const RECONNECT_MS = [250, 500, 1000, 2000];
+const GOING_AWAY = 1001; // close code of a server that was stopped
 const TOKEN = "palmd-token";
 const PAGE = "palmd-page";
 
-/** By what this tab is known again when it is loaded anew, so that it keeps the control that it had. */
-function page() {
+/** The id of this tab, kept over reloads so that it keeps its control. */
+function pageId() {
   if (!sessionStorage.getItem(PAGE)) sessionStorage.setItem(PAGE, Math.random().toString(36).slice(2, 8) || "0");
   return sessionStorage.getItem(PAGE);
 }
 
-/** The token from the address, kept for this tab so that a reload still has it; null for none. */
+/** The token from the address, kept for this tab over reloads; null for none. */
 function token() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
@@ -49,11 +49,11 @@ export class Connection {
   #open() {
     const socket = new WebSocket(`ws://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => socket.send(JSON.stringify({ token: this.#token, page: page() }));
+    socket.onopen = () => socket.send(JSON.stringify({ token: this.#token, page: pageId() }));
     socket.onmessage = ({ data }) => this.#take(data);
     socket.onclose = ({ code }) => {
       this.#on.lost(code === GOING_AWAY);
-      setTimeout(() => this.#open(), AGAIN_MS[Math.min(this.#attempt++, AGAIN_MS.length - 1)]);
+      setTimeout(() => this.#open(), RECONNECT_MS[Math.min(this.#attempt++, RECONNECT_MS.length - 1)]);
     };
     this.#socket = socket;
   }
@@ -74,7 +74,7 @@ export class Connection {
       try {
         messages.push([topic, decode(payload)]);
       } catch {
-        // somebody else's bytes on a topic of ours
+        // foreign data on one of our topics
       }
     }
     this.#on.messages(messages);

@@ -3,7 +3,7 @@
 import { entriesOf, headed } from "./events.js";
 import { element, set } from "./text.js";
 
-const KEPT = 2000;
+const MAX_ENTRIES = 2000;
 
 export class Console {
   #entries = [];
@@ -18,27 +18,27 @@ export class Console {
     for (const filter of [this.#kind, this.#words]) filter.addEventListener("input", () => this.#showAll());
   }
 
-  /** Whether anybody looks. */
-  look(open) {
+  /** Sets whether the log is visible. */
+  setVisible(open) {
     this.#open = open;
     if (open) this.#showAll();
   }
 
-  /** Takes a message of `palm/log`, which has the last entries each time; `t` (s) is now by the daemon's clock. */
+  /** Takes a message of `palm/log`, which repeats the last entries; `offsetS`: wall clock minus the daemon's clock (s). */
   take(log, offsetS) {
     const entries = entriesOf(log);
-    if (entries.length && entries.at(-1).number < this.#last) [this.#entries, this.#last] = [[], NaN]; // another daemon
+    if (entries.length && entries.at(-1).number < this.#last) [this.#entries, this.#last] = [[], NaN]; // the daemon was restarted
     const fresh = entries.filter(({ number }) => !(number <= this.#last)).map((entry) => ({ ...entry, at: new Date((entry.t + offsetS) * 1e3) }));
     if (!fresh.length) return;
     this.#last = fresh.at(-1).number;
     this.#entries.push(...fresh);
-    this.#entries.splice(0, this.#entries.length - KEPT);
+    this.#entries.splice(0, this.#entries.length - MAX_ENTRIES);
     if (!this.#open) return;
     this.#offerKinds();
     const shown = fresh.filter((entry) => this.#passes(entry));
     this.#list.append(...shown.map(rowOf));
-    while (this.#list.children.length > KEPT) this.#list.firstChild.remove();
-    this.#tell();
+    while (this.#list.children.length > MAX_ENTRIES) this.#list.firstChild.remove();
+    this.#updateCount();
   }
 
   #passes(entry) {
@@ -61,10 +61,10 @@ export class Console {
   #showAll() {
     this.#offerKinds();
     this.#list.replaceChildren(...this.#entries.filter((entry) => this.#passes(entry)).map(rowOf));
-    this.#tell();
+    this.#updateCount();
   }
 
-  #tell() {
+  #updateCount() {
     set("log-count", `${this.#list.children.length} of ${this.#entries.length} entries`);
     if (this.#follow.checked) this.#list.scrollTop = this.#list.scrollHeight;
   }

@@ -1,11 +1,11 @@
-// The daemon's log: its entries, and the latest of them beside the picture, each with how long ago it was and why.
+// The daemon's log: its entries, and the latest of them beside the picture, with their age.
 
 import { fillText, showInSlots } from "./slots.js";
 import { element, put } from "./text.js";
 
 const SHOWN = 6;
 
-const HEADS = { // what stands before the words of an entry; else its kind does
+const HEADS = { // prefix of an entry's text by kind; default: the kind
   state: () => "",
   fault: ({ name }) => `${name}: `,
   command: ({ name, who }) => `${name}, by ${who}: `,
@@ -18,7 +18,7 @@ export function entriesOf({ number = [], t_s: t = [], kind = [], name = [], seve
   }));
 }
 
-/** An entry's words with what stands before them. Pure. */
+/** An entry's text with its prefix. Pure. */
 export function headed(entry) {
   return (HEADS[entry.kind]?.(entry) ?? `${entry.kind}: `) + entry.text;
 }

@@ -1,10 +1,10 @@
 // Palms, contacts and outlines. Pure. Lengths in m, angles in rad, world axes; equation numbers are CMU-CS-01-107's.
 
 export const MM = 1e3;
-export const SOME_PAD_MM = 55.5; // how long pads are while nobody has told
-export const THICK_MM = 3.2; // of a palm, as drawn
+export const DEFAULT_PAD_MM = 55.5; // length of pads until it is known
+export const THICK_MM = 3.2; // drawn thickness of a palm
 
-/** Each palm at the hinge: its direction away from there (t1, −t2), its normal towards the object, its curvature (1/m). */
+/** Each palm at the hinge: its direction away from the hinge (t1, −t2), its normal towards the object, its curvature (1/m). */
 export function posture(palms, joints) {
   let angle = 0;
   return palms.map(({ side, curvature }, i) => {
@@ -14,7 +14,7 @@ export function posture(palms, joints) {
   });
 }
 
-/** The same at the arc length s (m) from the hinge, and where that is (m): a palm bends to its normal's side by κs. */
+/** The palm at the arc length s (m) from the hinge: point (m), direction and normal; it bends towards its normal by κs. */
 export function onPalm({ along, normal, curvature }, s) {
   if (!curvature) return { point: [along[0] * s, along[1] * s], along, normal };
   const [cos, sin] = [Math.cos(curvature * s), Math.sin(curvature * s)];
@@ -23,7 +23,7 @@ export function onPalm({ along, normal, curvature }, s) {
   return { point: mixed(out, up), along: mixed(cos, sin), normal: mixed(-sin, cos) };
 }
 
-/** The centre of mass from the hinge, n·(c − point) = r for every contact, in least squares; null where that is open. */
+/** The centre of mass relative to the hinge from n·(c − point) = r for every contact, by least squares; null if singular. */
 export function centreFromRadii(contacts, radii) {
   let [xx, xy, yy, x, y] = [0, 0, 0, 0, 0];
   contacts.forEach(({ normal: [nx, ny], point: [px, py] }, i) => {
@@ -55,12 +55,12 @@ export function outline(theta, h) {
   return points;
 }
 
-const STRAIGHT = 4; // and LEAST: as in palmd.chords
+const STRAIGHT = 4; // STRAIGHT and LEAST as in palmd.chords
 const LEAST = 1e-3;
 
 /**
- * The straight parts of an outline, flat sides or dents that the palms bridge, as far as they were touched: [begin, end]
- * of each (m), the first and last corner of the polygon that neighbouring tangents cut out.
+ * The touched straight parts of an outline (flat sides, or dents that the palms bridge): [begin, end] of each (m), the
+ * first and last corner of the polygon of neighbouring tangents.
  */
 export function chords(theta, h, touched) {
   const count = theta.length;
@@ -77,23 +77,23 @@ export function chords(theta, h, touched) {
   for (let i = 0; i < count; i++) {
     const before = (i + count - 1) % count;
     if (!straight[i] || straight[before]) continue;
-    let [j, felt] = [i, touched[i]];
+    let [j, anyTouched] = [i, touched[i]];
     while (straight[(j + 1) % count]) {
       j++;
-      felt ||= touched[j % count];
+      anyTouched ||= touched[j % count];
     }
     const [begin, end] = [corner(before), corner(j % count)];
-    if (felt && Math.hypot(end[0] - begin[0], end[1] - begin[1]) > LEAST) found.push([begin, end]);
+    if (anyTouched && Math.hypot(end[0] - begin[0], end[1] - begin[1]) > LEAST) found.push([begin, end]);
   }
   return found;
 }
 
-/** A function on evenly spaced directions from 0, at any direction. */
+/** Interpolates a function given on evenly spaced directions from 0. */
 export function at(values, direction) {
-  const place = (turn(direction) / (2 * Math.PI)) * values.length;
-  const low = Math.floor(place);
-  const share = place - low;
-  return values[low % values.length] * (1 - share) + values[(low + 1) % values.length] * share;
+  const position = (turn(direction) / (2 * Math.PI)) * values.length;
+  const low = Math.floor(position);
+  const fraction = position - low;
+  return values[low % values.length] * (1 - fraction) + values[(low + 1) % values.length] * fraction;
 }
 
 /** An angle in [0, 2π). */
@@ -103,8 +103,8 @@ export function turn(angle) {
 }
 
 /**
- * How many times larger than it is an error (m) may be drawn so that it stays within `room` (m).
- * It grows beyond `before` only when there is room to spare, so that it does not flicker.
+ * The magnification with which an error (m) stays within `room` (m).
+ * It exceeds the previous one, `before`, only with room to spare, so that it does not flicker.
  */
 export function magnification(error, room, before) {
   const largest = (limit) => [200, 100, 50, 20, 10].find((factor) => factor <= limit) ?? 5;

@@ -1,9 +1,9 @@
-// A button that asks for a second press, for what moves the arm or cannot be undone.
+// Buttons that need a second press, for actions that move the arm or cannot be undone.
 
 const CONFIRM_MS = 3000;
-const DOUBLE_CLICK_MS = 350; // two presses within it are one
+const DOUBLE_CLICK_MS = 350; // two presses within this time count as one
 
-/** Calls `act` when `button` is pressed twice within 3 s; its label asks for the second press meanwhile. */
+/** Calls `act` when `button` is pressed twice within 3 s; meanwhile its label asks for the second press. */
 export function onSecondPress(button, act) {
   const label = button.textContent;
   let since = -Infinity;

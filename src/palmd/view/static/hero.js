@@ -1,24 +1,24 @@
-// The figures that matter, large: how much of the outline is known, how well, the mass, and what is going on.
+// The main results in large type: coverage, accuracy, mass, and current activity.
 
-import { accuracy, activity, error, percent, small, underWay } from "./knowledge.js";
+import { accuracy, activity, error, percent, small, planRunning } from "./knowledge.js";
 import { ESTIMATE } from "./quantities.js";
 import { Settling } from "./settling.js";
 import { number, put, set } from "./text.js";
 
 const settling = new Settling();
-const STARVED_MS = 10000; // for so long it is told
+const RIG_STALL_MS = 10000; // how long a stall of the rig is shown
 
 /** Shows what `store` knows at `now` (ms). */
 export function showHero(store, now) {
   const estimate = store.get("palm/estimate");
   const { coverage, reachable } = store.get("palm/state");
-  if (underWay(store)) settling.reset();
+  if (planRunning(store)) settling.reset();
   settling.take(accuracy(store).typical, now / 1000);
   const { words, reason, kind } = activity(store, settling);
   set("words", words);
-  set("reason", [starved(store, now), [reason, doubt(estimate)].filter(Boolean).join("; ")].filter(Boolean).join(" "));
+  set("reason", [rigStall(store, now), [reason, invalidReason(estimate)].filter(Boolean).join("; ")].filter(Boolean).join(" "));
   for (const place of [document.getElementById("words"), document.getElementById("reason")]) {
-    put(place, "title", place.textContent); // what may be cut off can be read as a title
+    put(place, "title", place.textContent); // shows text that is cut off
   }
   put(document.getElementById("going-on").dataset, "kind", kind);
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
@@ -29,26 +29,26 @@ export function showHero(store, now) {
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
 }
 
-/** What speaks against the estimate, by the daemon's words or codes; empty for a valid one. */
-function doubt({ valid, reason, invalid_reasons: codes = [] }) {
+/** Why the estimate is invalid, by the daemon's text or codes; empty for a valid one. */
+function invalidReason({ valid, reason, invalid_reasons: codes = [] }) {
   return valid === false ? `no valid estimate: ${reason || codes.join(", ") || "no reason is published"}` : "";
 }
 
-/** What an emulated rig has lately said of itself: it stood still, which no pad and no arm is to blame for. */
-function starved(store, now) {
-  if (store.age("rig/stall", now) > STARVED_MS) return "";
+/** A recent stall of the emulated rig, which is not a fault of pads or arm. */
+function rigStall(store, now) {
+  if (store.age("rig/stall", now) > RIG_STALL_MS) return "";
   const { lasted_s: seconds, count } = store.get("rig/stall");
-  return `The emulated rig itself got no processor for ${(seconds * 1e3).toFixed(0)}\u00a0ms`
-    + `${count > 1 ? ` (${count} times so far)` : ""}: nothing came from pads and arm.`;
+  return `The emulated rig itself got no processor time for ${(seconds * 1e3).toFixed(0)}\u00a0ms`
+    + `${count > 1 ? ` (${count} times so far)` : ""}: no data from pads and arm.`;
 }
 
-function showAccuracy({ typical, worst }, off) {
+function showAccuracy({ typical, worst }, errors) {
   const [value, unit] = small(typical);
   set("typical", Number.isFinite(typical) ? `± ${value}` : value);
   set("typical-unit", unit);
-  const [most, its] = small(worst);
-  set("worst", Number.isFinite(worst) ? `worst ±\u00a0${most}\u00a0${its}` : "");
-  set("off-truth", Number.isFinite(off.typical) ? `truth: ${small(off.typical).join("\u00a0")} off, worst ${small(off.worst).join("\u00a0")}` : "");
+  const [worstValue, worstUnit] = small(worst);
+  set("worst", Number.isFinite(worst) ? `worst ±\u00a0${worstValue}\u00a0${worstUnit}` : "");
+  set("error-to-truth", Number.isFinite(errors.typical) ? `error to truth: ${small(errors.typical).join("\u00a0")}, worst ${small(errors.worst).join("\u00a0")}` : "");
 }
 
 function showMass({ valid, mass_kg: mass, sd }, truth) {
@@ -57,21 +57,21 @@ function showMass({ valid, mass_kg: mass, sd }, truth) {
   set("mass", known ? number(mass * factor, digits) : "–");
   set("mass-unit", unit);
   set("mass-sd", known && Number.isFinite(sd?.mass_kg) ? `± ${number(sd.mass_kg * factor, digits, unit)}` : "");
-  set("mass-truth", known && Number.isFinite(truth) ? `truth: ${number((mass - truth) * factor, digits, unit)} off` : "");
+  set("mass-truth", known && Number.isFinite(truth) ? `error to truth: ${number((mass - truth) * factor, digits, unit)}` : "");
 }
 
-/** What has come of it, once nothing more will: [[what, how much]]. */
+/** The final result as rows [name, value]. */
 export function summary(store, now) {
   const estimate = store.get("palm/estimate");
   const { words } = activity(store, settling);
-  const well = accuracy(store);
-  const off = error(store, now);
+  const sds = accuracy(store);
+  const errors = error(store, now);
   const { factor, digits, unit } = ESTIMATE.mass_kg;
   return [
-    ["at last", words],
+    ["final state", words],
     ["outline known", percent(estimate.touched)],
-    ["accuracy", `± ${small(well.typical).join(" ")}, worst ± ${small(well.worst).join(" ")}`],
-    ["off the rig’s truth", Number.isFinite(off.typical) ? `${small(off.typical).join("\u00a0")}, worst ${small(off.worst).join("\u00a0")}` : "–"],
+    ["accuracy", `± ${small(sds.typical).join(" ")}, worst ± ${small(sds.worst).join(" ")}`],
+    ["error to the rig’s truth", Number.isFinite(errors.typical) ? `${small(errors.typical).join("\u00a0")}, worst ${small(errors.worst).join("\u00a0")}` : "–"],
     ["mass", estimate.valid ? number(estimate.mass_kg * factor, digits, unit) : "–"],
   ];
 }

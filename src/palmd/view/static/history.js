@@ -1,12 +1,12 @@
-// The last seconds of some fields, as columns that lie in one piece.
+// The last seconds of some fields as contiguous columns.
 
-/** Rows of numbers in the order of time; NaN for no value. A clock that jumps begins anew. */
+/** Rows of numbers in time order; NaN for no value. A jump of the clock clears the history. */
 export class History {
   #columns;
   #capacity;
   #gap;
 
-  /** `names` of the columns beside the time; `capacity` rows are kept at least; `gap` s without a row begin anew. */
+  /** `names` of the columns besides time; at least `capacity` rows are kept; `gap` s without a row clear the history. */
   constructor(names, capacity, gap, Values = Float64Array) {
     this.names = names;
     this.start = 0;
@@ -16,12 +16,12 @@ export class History {
     this.#columns = [new Float64Array(2 * capacity), ...names.map(() => new Values(2 * capacity))];
   }
 
-  /** Forgets all. */
+  /** Removes all rows. */
   clear() {
     this.start = this.end = 0;
   }
 
-  /** Forgets the newest row. */
+  /** Removes the newest row. */
   drop() {
     this.end -= 1;
   }
@@ -68,7 +68,7 @@ export class History {
     return found;
   }
 
-  /** A column at other `times` in their order, times `scale`; null where this history does not reach. */
+  /** A column interpolated at increasing `times`, times `scale`; null outside this history. */
   valuesAt(times, name, scale) {
     const [own, column] = [this.#columns[0], this.#columns[this.names.indexOf(name) + 1]];
     let i = this.start;
@@ -80,7 +80,7 @@ export class History {
     });
   }
 
-  /** The row of the last time before `t`, and how far `t` lies from it to the next one: [row, 0…1]; null for none. */
+  /** The row of the last time before `t`, and the fraction of the interval to the next row: [row, 0…1]; null for none. */
   place(t) {
     const times = this.#columns[0];
     for (let i = this.end - 2; i >= this.start; i--) {
@@ -95,18 +95,18 @@ export class History {
     return column[row] + share * (column[row + 1] - column[row]);
   }
 
-  /** The rows from `from` to `to` (s): [first, behind the last]. */
+  /** The rows from `from` to `to` (s): [first, one past the last]. */
   rows(from, to) {
     return [this.#search(from), this.#search(to)];
   }
 
-  /** A column of rows, times `scale`; of the times where `name` is null; null for no value. */
+  /** A range of a column, times `scale`; the times if `name` is null; null for no value. */
   slice(name, first, last, scale = 1) {
     const column = this.#columns[name === null ? 0 : this.names.indexOf(name) + 1];
     return Array.from(column.subarray(first, last), (value) => (Number.isNaN(value) ? null : value * scale));
   }
 
-  /** The first row that is not before `t` (s). */
+  /** The first row at or after `t` (s). */
   #search(t) {
     let [low, high] = [this.start, this.end];
     while (low < high) {
@@ -121,6 +121,6 @@ export class History {
     const times = this.#columns[0];
     let i = this.end;
     while (i > this.start && times[i - 1] >= since) i -= 1;
-    return Math.ceil(i / stride) * stride; // the same rows each time, so that curves do not shimmer
+    return Math.ceil(i / stride) * stride; // always the same rows, so that curves do not flicker
   }
 }

@@ -1,12 +1,12 @@
-// How well the object is known, and what is going on, in words with the reason. Pure.
+// Accuracy of the estimate, and the current activity as text with its reason. Pure.
 
 import { inSpace } from "./surface.js";
-import { offTruth, offTruthInSpace, truthAt, turnAt } from "./truth.js";
+import { truthDifference, truthDifferenceInSpace, truthAt, turnAt } from "./truth.js";
 
-/** Where the outline's classes of one-sigma end (m); what is beyond the last is hardly known. */
+/** Upper limits of the outline's classes of standard deviation (m); beyond the last it is hardly known. */
 export const CLASSES_M = [10e-6, 30e-6, 100e-6, 300e-6];
 
-/** The class of a one-sigma (m): 0 for the best known, CLASSES_M.length for what is hardly known. */
+/** The class of a standard deviation (m): 0 for the best, CLASSES_M.length for the worst. */
 export function classOf(sd) {
   const found = CLASSES_M.findIndex((end) => sd <= end);
   return found < 0 ? CLASSES_M.length : found;
@@ -18,74 +18,74 @@ export function spread(values, counted) {
   return { typical: some.length ? some[some.length >> 1] : NaN, worst: some.at(-1) ?? NaN };
 }
 
-/** One-sigma (m) of the outline where it was touched, typical and worst; NaN unless the estimate is valid. */
+/** Standard deviation (m) of the outline where touched, median and largest; NaN unless the estimate is valid. */
 export function accuracy(store) {
   const shape = store.get("palm/shape");
   if (!store.get("palm/estimate").valid || !shape.h_m) return { typical: NaN, worst: NaN };
   return spread(shape.h_sd_m, shape.touched);
 }
 
-/** How far (m) the outline really is from the emulated rig's truth where it was touched; NaN without one. */
+/** Error (m) of the outline to the emulated rig's truth where touched, median and largest; NaN without truth. */
 export function error(store, now) {
   const [estimate, shape] = [store.get("palm/estimate"), store.get("palm/shape")];
   if (!estimate.valid || !shape.h_m || !store.truthful(now)) return { typical: NaN, worst: NaN };
   if (inSpace(estimate)) {
-    const far = offTruthInSpace(shape, store.get("rig/object"), turnAt(store, estimate), estimate).map(Math.abs);
-    return spread(far, far.map(() => true));
+    const errors = truthDifferenceInSpace(shape, store.get("rig/object"), turnAt(store, estimate), estimate).map(Math.abs);
+    return spread(errors, errors.map(() => true));
   }
   const points = { theta: shape.theta_rad, h: shape.h_m };
-  const off = offTruth(points, store.get("rig/object"), truthAt(store, estimate), estimate);
-  return spread(off.map(Math.abs), shape.touched);
+  const errors = truthDifference(points, store.get("rig/object"), truthAt(store, estimate), estimate);
+  return spread(errors.map(Math.abs), shape.touched);
 }
 
-/** A length (m) as an accuracy reads: µm below a millimetre, mm above. */
+/** An accuracy (m) as [number, unit]: µm below a millimetre, mm above. */
 export function small(length) {
   if (!Number.isFinite(length)) return ["–", "µm"];
   return length < 0.9995e-3 ? [(length * 1e6).toFixed(0), "µm"] : [(length * 1e3).toFixed(1), "mm"];
 }
 
-/** A share in per cent, a dash for none. */
+/** A fraction in per cent, a dash for none. */
 export function percent(share) {
   return Number.isFinite(share) ? `${(share * 100).toFixed(0)}\u00a0%` : "–";
 }
 
-/** Whether a plan is under way; runs that are older than the field that says so have the plan's place. */
-export function underWay(store) {
+/** Whether a plan is running; for old runs without that field by the plan's segment. */
+export function planRunning(store) {
   const { state, running } = store.get("palm/state");
   return state === "tracking" && (running ?? store.get("palm/motion").segment >= 0);
 }
 
-/** What is going on and why: {words, reason, kind}; `kind` is good, wait, warn or bad. `settling`: how the accuracy comes to rest. */
+/** The current activity: {words, reason, kind}; `kind` is good, wait, warn or bad. `settling`: convergence of the accuracy. */
 export function activity(store, settling) {
-  const said = store.get("palm/state");
+  const status = store.get("palm/state");
   const motion = store.get("palm/motion");
-  switch (said.state) {
+  switch (status.state) {
     case "idle":
-      return { words: "Waiting for the rig", reason: standing(said).join("; ") || said.cause, kind: "wait" };
+      return { words: "Waiting for the rig", reason: faultTexts(status).join("; ") || status.cause, kind: "wait" };
     case "ready":
-      return { words: "Disarmed: the arm is not commanded", reason: said.cause && `since: ${said.cause}`, kind: "wait" };
+      return { words: "Disarmed: the arm is not commanded", reason: status.cause && `cause: ${status.cause}`, kind: "wait" };
     case "hold":
-      return { words: `Held: ${why(said)}`, reason: advice(said, "start goes on"), kind: "warn" };
+      return { words: `Held: ${causeOf(status)}`, reason: advice(status, "start resumes the motion"), kind: "warn" };
     case "fault":
-      return { words: `Stopped: ${why(said)}`, reason: advice(said, "reset when the cause is gone"), kind: "bad" };
+      return { words: `Stopped: ${causeOf(status)}`, reason: advice(status, "reset when the cause is removed"), kind: "bad" };
     case "tracking":
-      return underWay(store) ? moving(said, motion) : standingStill(said, motion, store, settling);
+      return planRunning(store) ? moving(status, motion) : resting(status, motion, store, settling);
     default:
       return { words: "Nothing is known yet", reason: "", kind: "wait" };
   }
 }
 
-function moving(said, { plan, segment, progress }) {
-  if (!said.exploring) {
-    const far = progress > 0 ? `, ${percent(progress)}` : "";
-    return { words: `Running ${plan}${far}`, reason: `segment ${segment + 1}`, kind: "good" };
+function moving(status, { plan, segment, progress }) {
+  if (!status.exploring) {
+    const done = progress > 0 ? `, ${percent(progress)}` : "";
+    return { words: `Running ${plan}${done}`, reason: `segment ${segment + 1}`, kind: "good" };
   }
-  return { words: `Exploring for ${said.explored_s.toFixed(0)} s`, reason: said.reason, kind: "good" };
+  return { words: `Exploring for ${status.explored_s.toFixed(0)} s`, reason: status.reason, kind: "good" };
 }
 
-function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store, settling) {
+function resting({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store, settling) {
   if (!Number.isFinite(seconds) || exploring) {
-    return { words: "The arm follows, no plan is running", reason: plan && `start runs ${plan}`, kind: "wait" };
+    return { words: "Armed, no plan is running", reason: plan && `start runs ${plan}`, kind: "wait" };
   }
   const took = `${percent(coverage)} in ${seconds.toFixed(0)} s`;
   if (!(coverage >= goal)) return { words: `Ended at ${took}`, reason, kind: "warn" };
@@ -93,15 +93,15 @@ function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, rea
   const reached = `${took}, ±\u00a0${value}\u00a0${unit}`;
   if (!store.get("palm/estimate").valid) return { words: `Explored ${took}, but the object is lost`, reason, kind: "warn" };
   return settling.steady ? { words: `Done: ${reached}`, reason, kind: "good" }
-    : { words: `Refining: ${reached}`, reason: `${reason && `${reason}; `}the estimate still improves while the palms stand`, kind: "wait" };
+    : { words: `Refining: ${reached}`, reason: `${reason && `${reason}; `}the estimate still improves while the palms are at rest`, kind: "wait" };
 }
 
-/** What has brought the state about; runs that are older than that field have their faults. */
-function why(said) {
-  return said.cause || standing(said).join("; ") || "nobody has said why";
+/** The cause of the state; for old runs without that field by their faults. */
+function causeOf(status) {
+  return status.cause || faultTexts(status).join("; ") || "unknown cause";
 }
 
-function standing({ texts, faults = [], severities = [] }) {
+function faultTexts({ texts, faults = [], severities = [] }) {
   return (texts ?? faults).filter((_, i) => severities[i] === "hold" || severities[i] === "stop");
 }
 

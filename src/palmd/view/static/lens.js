@@ -1,4 +1,4 @@
-// A magnifying glass in an upper corner of the scene: a small piece of the outline as it is, band and truth, so many times larger.
+// A lens in an upper corner of the scene: a magnified piece of the outline with band and truth.
 
 import { magnification } from "./geometry.js";
 import { classOf } from "./knowledge.js";
@@ -6,22 +6,23 @@ import { dash, line, place, ring } from "./paths.js";
 import { colours } from "./theme.js";
 
 const RADIUS = 84; // CSS pixels, less in a small picture
-const SHARE = 0.2; // of the picture's height, at most
+const SHARE = 0.2; // largest radius as a fraction of the picture's height
 const MARGIN = 10;
 const BAND_SDS = 2;
-const BAND_SHARE = 0.45; // of the radius that half the band may fill
+const BAND_SHARE = 0.45; // largest half-width of the band as a fraction of the radius
 const MM = 1e3;
 
 export class Lens {
-  factor = 0; // by which it magnifies; 0 while it shows nothing
+  factor = 0; // magnification; 0 while nothing is shown
   #before = 5;
   #right = true;
 
   /**
-   * `points` of the outline in the object's frame with one-sigma `sds` (m) and, where the rig tells it, `off` (m), by which
-   * the truth lies outside of it; the frame is at `centre` (m) turned by `psi` (rad). It shows what is nearest to `target` (mm).
+   * Draws the part of the outline nearest to `target` (mm). `points` in the object's frame with standard deviations `sds` (m)
+   * and, if the truth is known, `truthOffset` (m), its distance outside the estimate; the frame is at `centre` (m), rotated by
+   * `psi` (rad).
    */
-  draw(context, { points, sds, off, centre, psi, target, screen }) {
+  draw(context, { points, sds, truthOffset, centre, psi, target, screen }) {
     const { ratio, width, height, scale, below } = screen;
     const nearest = nearestTo(points, centre, psi, target);
     const radius = Math.min(RADIUS * ratio, SHARE * height);
@@ -29,7 +30,7 @@ export class Lens {
     const [px, py] = world(points, centre, psi, nearest);
     const seen = [px * scale + width / 2, height - (py + below) * scale];
     const y = radius + MARGIN * ratio;
-    const x = this.#besides(centre[0] * MM * scale, y, width);
+    const x = this.#centreX(centre[0] * MM * scale, y, width);
     context.save();
     context.setTransform(1, 0, 0, 1, 0, 0);
     this.#drawRim(context, [x, y], radius, seen, ratio);
@@ -46,18 +47,18 @@ export class Lens {
     context.strokeStyle = colours[`error${classOf(sds[nearest])}`];
     context.lineWidth = 2.4 * thin;
     context.stroke(ring(points));
-    if (off) dash(context, ring(points, off), thin);
+    if (truthOffset) dash(context, ring(points, truthOffset), thin);
     context.restore();
     this.#drawFactor(context, [x, y], radius, ratio);
   }
 
-  /** Its middle: in the upper corner that is farther from the object, which is `off` to the right of the hinge. */
-  #besides(off, margin, width) {
-    if (Math.abs(off) > 0.1 * width) this.#right = off < 0;
+  /** X of the lens' centre: in the upper corner farther from the object, which is `objectX` to the right of the hinge. */
+  #centreX(objectX, margin, width) {
+    if (Math.abs(objectX) > 0.1 * width) this.#right = objectX < 0;
     return this.#right ? width - margin : margin;
   }
 
-  /** What is seen through it, a line to the place, and from here on nothing outside of it. */
+  /** Draws the rim and a line to the magnified point, and clips drawing to the lens. */
   #drawRim(context, [x, y], radius, seen, ratio) {
     const away = Math.hypot(seen[0] - x, seen[1] - y);
     context.strokeStyle = context.fillStyle = colours.ink;
@@ -87,7 +88,7 @@ export class Lens {
   }
 }
 
-/** Where a point of the outline is (mm, from the hinge). */
+/** The position of a point of the outline (mm, relative to the hinge). */
 function world(points, [cx, cy], psi, i) {
   const [cos, sin] = [Math.cos(psi), Math.sin(psi)];
   const [x, y] = [points.x[i], points.y[i]];
@@ -105,7 +106,7 @@ function nearestTo(points, centre, psi, target) {
   return nearest;
 }
 
-/** The numbers of the points around `middle`, in their order, as far as `reach` (m) and one beyond. */
+/** The indices of the points around `middle` within `reach` (m) and one beyond, in order. */
 function pieceOf(points, middle, reach) {
   const count = points.x.length;
   const far = (i) => Math.hypot(points.x[i] - points.x[middle], points.y[i] - points.y[middle]) > reach;

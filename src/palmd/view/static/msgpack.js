@@ -1,8 +1,8 @@
-// msgpack, the part of it that palmd speaks: maps with string keys, lists, numbers, booleans, strings, bytes.
+// Decoder for the subset of msgpack that palmd uses: maps with string keys, lists, numbers, booleans, strings, bytes.
 
 const utf8 = new TextDecoder();
 
-/** The value in `bytes` (Uint8Array); lists become arrays, maps objects, bytes views. Throws RangeError for what is none. */
+/** The value in `bytes` (Uint8Array); lists become arrays, maps objects, bytes views. Throws RangeError for invalid data. */
 export function decode(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   let at = 0;
@@ -17,7 +17,7 @@ export function decode(bytes) {
     const start = advance(length);
     if (at > bytes.length) throw new RangeError("text beyond the end");
     if (length > 40) return utf8.decode(bytes.subarray(start, at));
-    let found = ""; // quicker than a decoder for short names
+    let found = ""; // faster than a decoder for short names
     for (let i = start; i < at; i++) {
       if (bytes[i] > 0x7f) return utf8.decode(bytes.subarray(start, at));
       found += String.fromCharCode(bytes[i]);

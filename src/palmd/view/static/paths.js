@@ -1,20 +1,20 @@
-// Paths of outlines, in mm, and how lines are drawn on a canvas.
+// Paths of outlines in mm, and drawing of lines on a canvas.
 
 import { colours } from "./theme.js";
 
 const MM = 1e3;
 
-/** A closed path through the outline's points, each moved by `off` (m) along its normal. */
-export function ring(points, off) {
+/** A closed path through the outline's points, each moved by `offset` (m) along its normal. */
+export function ring(points, offset) {
   const path = new Path2D();
-  for (let i = 0; i < points.x.length; i++) path.lineTo(...place(points, i, off?.[i] ?? 0));
+  for (let i = 0; i < points.x.length; i++) path.lineTo(...place(points, i, offset?.[i] ?? 0));
   path.closePath();
   return path;
 }
 
-/** A point of the outline, moved by `off` (m) along its normal. */
-export function place(points, i, off) {
-  return [(points.x[i] + off * points.nx[i]) * MM, (points.y[i] + off * points.ny[i]) * MM];
+/** A point of the outline, moved by `offset` (m) along its normal. */
+export function place(points, i, offset) {
+  return [(points.x[i] + offset * points.nx[i]) * MM, (points.y[i] + offset * points.ny[i]) * MM];
 }
 
 export function line(context, from, to) {
@@ -24,7 +24,7 @@ export function line(context, from, to) {
   context.stroke();
 }
 
-/** Draws a path dashed, as the rig's truth is drawn; `thin` is a CSS pixel in the context's unit. */
+/** Draws a dashed path, as used for the rig's truth; `thin` is one CSS pixel in the context's unit. */
 export function dash(context, path, thin, colour = colours.truth) {
   context.strokeStyle = colour;
   context.lineWidth = 1.5 * thin;
@@ -32,7 +32,7 @@ export function dash(context, path, thin, colour = colours.truth) {
   context.stroke(path);
 }
 
-/** A dot with a rim, a few CSS pixels wide, in a canvas's own pixels; `ratio` are those to a CSS pixel. */
+/** Draws a dot with a rim at a position in canvas pixels; `ratio` is the number of canvas pixels per CSS pixel. */
 export function mark(context, [x, y], colour, ratio) {
   context.beginPath();
   context.arc(x, y, 5 * ratio, 0, 2 * Math.PI);
@@ -59,7 +59,7 @@ export function arrow(context, from, to, colour, ratio) {
   context.fill();
 }
 
-/** Words on the picture, about a place, legible on anything. */
+/** Writes text centred at a point, with a halo that keeps it legible. */
 export function write(context, text, [x, y], colour, ratio, weight) {
   context.font = `${weight} ${12 * ratio}px system-ui, sans-serif`;
   context.textAlign = "center";

@@ -1,30 +1,30 @@
-// A pivoting grasp for the rest of the page, which knows palms: its fields by the names that theirs have.
+// Adapter for the pivoting grasp: converts its fields to the names of two palms, which the rest of the page uses.
 
 import { palmsOf } from "./quantities.js";
 
-const AS = {
+const CONVERSIONS = {
   "palm/pivot": ({ x_m, z_m, ...rest }) => ({ ...rest, gripper: [x_m, z_m] }),
   "palm/pivot_shape": ({ hP_m, hP_sd_m, ...rest }) => ({ ...rest, h_m: hP_m, h_sd_m: hP_sd_m }),
   "palm/pivot_info": (fields) => ({ ...fields, palms: [1], joints: ["x"], sides: [1] }),
   "rig/pivot_object": ({ hP_m, ...rest }) => ({ ...rest, h_m: hP_m }),
 };
 
-/** The fields of a message by two palms' names; of another system as they are. */
+/** The fields of a message with the names of two palms; messages of other systems are unchanged. */
 export function fieldsOf(topic, fields) {
-  return AS[topic]?.(fields) ?? fields;
+  return CONVERSIONS[topic]?.(fields) ?? fields;
 }
 
-/** Whether an estimate is of a pivoting grasp. */
-export function tells(estimate) {
+/** Whether an estimate belongs to a pivoting grasp. */
+export function isOwn(estimate) {
   return Array.isArray(estimate.gripper);
 }
 
-/** What draws it, loaded when it is first needed: `draw`. */
+/** Loads the module that draws it (`draw`). */
 export const drawing = () => import("./pivotscene.js");
 
-/** A summary of the picture; `say` tells a quantity of palms with its unit. */
-export function describe(store, say) {
+/** A summary of the picture; `format` formats a quantity with its unit. */
+export function describe(store, format) {
   const estimate = store.get("palm/estimate"), [{ number }] = palmsOf(store.get("palm/info"));
-  return `Pad touched at ${say(`s${number}_m`)}, pressed with ${say(`f${number}_n`)}; turned by ${say("psi_rad")}. `
+  return `Pad touched at ${format(`s${number}_m`)}, pressed with ${format(`f${number}_n`)}; rotated by ${format("psi_rad")}. `
     + `Touched over ${(estimate.touched * 100).toFixed(0)} % of the outline about the pivot.`;
 }

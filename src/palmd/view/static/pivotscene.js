@@ -1,13 +1,13 @@
-// The picture of a pivoting grasp: the pad on the ground, the gripper over it, and the body that turns about the pivot.
+// The picture of a pivoting grasp: the pad, the gripper above it, and the body that rotates about the pivot.
 
-import { MM, SOME_PAD_MM, THICK_MM } from "./geometry.js";
+import { MM, DEFAULT_PAD_MM, THICK_MM } from "./geometry.js";
 import { line } from "./paths.js";
 import { palmsOf } from "./quantities.js";
 import { colours, ofPalm } from "./theme.js";
 
 const PAD = { along: [1, 0], normal: [0, 1], curvature: 0 };
 
-/** Whether a body is clear of the pad: it touches, or the hand that holds it has it above. */
+/** Whether the body does not penetrate the pad: it is in contact, or held above the pad. */
 export function clear(object, truth) {
   const { z_m, psi_rad } = truth, touches = Object.keys(truth).some((name) => name.startsWith("touch") && truth[name]);
   const [first, second] = object.theta_rad, count = object.theta_rad.length;
@@ -15,10 +15,10 @@ export function clear(object, truth) {
   return touches || object.h_m[((below % count) + count) % count] <= z_m;
 }
 
-/** Draws what `store` knows at `now` (ms) into the context of a `scene`. */
+/** Draws the contents of `store` at `now` (ms) into the context of a `scene`. */
 export function draw(scene, context, store, now) {
   const estimate = store.get("palm/estimate"), [palm] = palmsOf(store.get("palm/info"));
-  const padMm = palm.padM * MM || SOME_PAD_MM;
+  const padMm = palm.padM * MM || DEFAULT_PAD_MM;
   scene.begin(padMm);
   context.save();
   context.translate(-padMm / 2, 0);
@@ -42,7 +42,7 @@ export function draw(scene, context, store, now) {
   scene.drawScale();
 }
 
-/** A fork from above that holds the body at the pivot (mm). */
+/** Draws the fork that holds the body at the pivot (mm) from above. */
 function drawGripper(scene, context, [x, y]) {
   context.strokeStyle = colours.ink;
   context.lineWidth = scene.thin(5);

@@ -1,6 +1,6 @@
-// The plans of the rig: which one is loaded and runs, and a button for each that loads it.
+// The plans of the rig: which one is loaded or running, and a button to load each.
 
-import { underWay } from "./knowledge.js";
+import { planRunning } from "./knowledge.js";
 import { element, put } from "./text.js";
 
 const named = (file) => file.replace(/\.ya?ml$/, "");
@@ -10,19 +10,19 @@ export class Plans {
   #load;
   #laidOut = "";
 
-  /** `load(file)` is called for the plan that is asked for. */
+  /** `load(file)` is called to load a plan. */
   constructor(list, load) {
     [this.#list, this.#load] = [list, load];
   }
 
-  /** Shows the plans of `palm/info`, and which of them `palm/motion` names; `applies`: whether one can be loaded. */
+  /** Shows the plans of `palm/info` and marks that of `palm/motion`; `applies`: whether plans can be loaded. */
   offer(store, applies) {
     const { plans = [] } = store.get("palm/info");
     const { plan } = store.get("palm/motion");
     this.#layOut(plans);
     for (const row of this.#list.children) {
       const current = named(row.dataset.file) === plan;
-      const words = !current ? "" : underWay(store) ? "running" : "loaded";
+      const words = !current ? "" : planRunning(store) ? "running" : "loaded";
       const [, state, button] = row.children;
       put(state, "textContent", words);
       put(row.dataset, "current", words);

@@ -1,13 +1,13 @@
-// Fields over a whole run in bounded memory: ever longer and coarser levels of least and largest values.
+// Fields over a whole run in bounded memory: levels of minima and maxima with increasing length and bucket width.
 
 import { History } from "./history.js";
 
-const LEVELS = [ // width of a bucket (s), how many: 5 minutes, an hour, a day
+const LEVELS = [ // width (s) and number of buckets: 5 minutes, an hour, a day
   { width: 0.1, count: 3000 },
   { width: 1, count: 3600 },
   { width: 10, count: 8640 },
 ];
-const POINTS_MOST = 1500; // in a picture: about one a pixel
+const MAX_POINTS = 1500; // points in a picture: about one per pixel
 const GAP_S = 2;
 
 export class Pyramid {
@@ -27,20 +27,20 @@ export class Pyramid {
     for (const level of this.#levels) level.add(t, values);
   }
 
-  /** The first time that is kept (s), NaN before there is one. */
+  /** The oldest stored time (s), Infinity without one. */
   get oldest() {
     return Math.min(...this.#levels.map(({ oldest }) => oldest).filter(Number.isFinite), Infinity);
   }
 
-  /** What a picture from `from` to `to` (s) shows: {times, values(name, scale)}, from the finest level that reaches it. */
+  /** The data for a picture from `from` to `to` (s): {times, values(name, scale)}, from the finest level that covers it. */
   cut(from, to) {
-    const [begin, fine] = [Math.max(from, this.oldest), this.#levels.filter(({ width }) => (to - from) / width <= POINTS_MOST)];
+    const [begin, fine] = [Math.max(from, this.oldest), this.#levels.filter(({ width }) => (to - from) / width <= MAX_POINTS)];
     const level = fine.find(({ width, oldest }) => oldest <= begin + width) ?? fine.at(-1) ?? this.#levels.at(-1);
     return level.cut(from, to);
   }
 }
 
-/** Buckets of one width: the least and the largest value of each column. */
+/** Buckets of one width: minimum and maximum of each column. */
 class Level {
   #history;
   #least;
@@ -63,7 +63,7 @@ class Level {
     this.#bucket = NaN;
   }
 
-  /** Nothing came for a while: curves have a gap from `t` (s) on. */
+  /** Inserts a gap in the curves at `t` (s). */
   interrupt(t) {
     if (Number.isNaN(this.#bucket)) return;
     this.#flush();
@@ -86,14 +86,14 @@ class Level {
     }
   }
 
-  /** The bucket so far as a row, in place of what it was before. */
+  /** Stores the current bucket as a row, replacing its earlier version. */
   #flush() {
     const t = this.#bucket * this.width;
     if (this.#history.newest === t) this.#history.drop();
     this.#history.add(t, [...this.#least, ...this.#largest]);
   }
 
-  /** Two points a bucket, and those of the bucket that is being filled. */
+  /** Two points per bucket, including the current one. */
   cut(from, to) {
     if (!Number.isNaN(this.#bucket)) this.#flush();
     const [first, last] = this.#history.rows(from - this.width, to + this.width);

@@ -1,41 +1,46 @@
-// What is published and how it is shown: palmd's own table, as the server has it.
+// The published quantities and their presentation, from the server's table.
 
 const table = await (await fetch("quantities.json")).json();
 
-export const STRIPS = table.strips; // charts of the estimate: {title, group, names, colours, unit, factor, digits, span, low, good}
-export const TOLD = table.told; // what of the estimate is told as a number: {name, title, compared}
-export const AGES = table.ages; // of what was heard last, in palm/contact: {name, title, palm}
+// Charts of the estimate: {title, group, names, colours, unit, factor, digits, span, low, good}
+export const STRIPS = table.strips;
+// Quantities of the estimate displayed as numbers: {name, title, compared}
+export const NUMBERS = table.told;
+// Ages of data in palm/contact: {name, title, palm}
+export const AGES = table.ages;
 export const ESTIMATE = table.shown["palm/estimate"];
-export const LISTED = table.listed; // drawn from a list in a message, one by one: {name, topic, list, index}
-export const SHOWS = table.shows; // what a demo of each system shows, in a sentence; "" is that of two palms
+// Quantities that are elements of a list in a message: {name, topic, list, index}
+export const LISTED = table.listed;
+// A sentence on the demo of each system; "" is two palms
+export const SHOWS = table.shows;
 
-/** How old (ms) a topic's last message may be. */
+/** Largest age (ms) of a topic's last message. */
 export function staleMs(topic) {
   return table.stale_ms[topic];
 }
 
-/** Under which topic of two palms one of any system is kept. */
+/** The topic of two palms under which a topic of any system is stored. */
 export function keptAs(topic) {
   return table.as[topic] ?? topic;
 }
 
-/** Whether what is told of `names` belongs to the system whose message `fields` is; before the first, to two palms. */
-export function told(names, fields) {
+/** Whether the message `fields` has one of the quantities `names`; before the first message, those of two palms. */
+export function hasAny(names, fields) {
   return names.some((name) => ("mono_ns" in fields ? name in fields : table.usual.includes(name)));
 }
 
-/** How a quantity of a topic is shown: {symbol, meaning, unit, factor, digits, uncertain, truth}. */
+/** The presentation of a quantity: {symbol, meaning, unit, factor, digits, uncertain, truth}. */
 export function shown(topic, name) {
   return table.shown[topic][name];
 }
 
-/** How a quantity of the estimate is shown, though its palm may be one more than the table has. */
+/** The presentation of a quantity of the estimate, also for palms with numbers beyond the table. */
 export function shownOfPalm(name) {
   const family = (each) => each.replace(/[0-9]+/, "");
   return ESTIMATE[name] ?? ESTIMATE[Object.keys(ESTIMATE).find((each) => family(each) === family(name))];
 }
 
-/** The palms as `palm/info` describes them: [{number, joint, side, lengthM, padM}], from the hinge on. */
+/** The palms described by `palm/info`, from the hinge on: [{number, joint, side, lengthM, padM, curvature}]. */
 export function palmsOf(info) {
   const { palms, joints, sides = [] } = info.palms ? info : table.system;
   return palms.map((number, i) => ({

@@ -1,11 +1,11 @@
-// The recorded runs: listed, searched, reported, downloaded, deleted.
+// The recorded runs: list, search, report, download, delete.
 
 import { onSecondPress } from "./guard.js";
 import { element, number, set } from "./text.js";
 
 const REPORT_MS = 180000;
 
-/** A run in words, as they are searched. Pure. */
+/** The searchable text of a run. Pure. */
 export function words(run) {
   return [run.run, run.started, run.object, ...run.plans, ...run.faults, ...run.notes, run.problem].join(" ").toLowerCase();
 }
@@ -17,19 +17,19 @@ export class Runs {
   #body = document.getElementById("run-rows");
   #search = document.getElementById("run-search");
 
-  /** `library(command, args, told)` asks the server; `told(error, result)`. */
+  /** `library(command, args, onAnswer)` sends a request to the server; `onAnswer(error, result)`. */
   constructor(library) {
     this.#library = library;
     this.#search.addEventListener("input", () => this.#show());
     document.getElementById("runs-again").addEventListener("click", () => this.list());
   }
 
-  /** Reads the list anew; the server's first words have the key by which files may be fetched. */
+  /** Reads the list again; the server's first message has the key for downloads. */
   list(hello = { library: this.#key }) {
     this.#key = hello?.library ?? "";
-    set("runs-say", "reading the runs…");
+    set("runs-status", "reading the runs…");
     this.#library("runs", {}, (error, result) => {
-      set("runs-say", error ?? `${result.runs.length} in ${result.folder}`);
+      set("runs-status", error ?? `${result.runs.length} in ${result.folder}`);
       this.#runs = error ? [] : result.runs;
       this.#show();
     });
@@ -64,7 +64,7 @@ export class Runs {
     const remove = Object.assign(element("button", "small", "Delete"), { type: "button" });
     remove.setAttribute("aria-label", `Delete ${name}`);
     onSecondPress(remove, () => this.#library("delete", { run: run.run }, (error) => {
-      set("runs-say", error ?? `${name} is deleted`);
+      set("runs-status", error ?? `${name} is deleted`);
       if (error) return;
       this.#runs = this.#runs.filter((each) => each !== run);
       this.#show();
@@ -73,18 +73,18 @@ export class Runs {
     return cell;
   }
 
-  /** Makes the report, which takes some seconds, and opens it beside. */
+  /** Makes the report, which takes some seconds, and opens it in a new window. */
   #report(run, button) {
     const page = open("", "_blank");
     if (page) page.document.title = "palmd: making the report…";
     button.disabled = true;
-    set("runs-say", `making the report of ${run.run}…`);
+    set("runs-status", `making the report of ${run.run}…`);
     this.#library("report", { run: run.run }, (error, result) => {
       button.disabled = false;
-      set("runs-say", error ?? `report of ${run.run}: opened`);
+      set("runs-status", error ?? `report of ${run.run}: opened`);
       if (error) page?.close();
       else if (page) page.location = `${location.origin}/files/${this.#key}/${result.file}`;
-      else set("runs-say", "the browser opened no window: allow pop-ups of this page");
+      else set("runs-status", "the browser blocked the window: allow pop-ups for this page");
     }, REPORT_MS);
   }
 }

@@ -1,33 +1,38 @@
-// The palms, the object as estimated, and the rig's truth, drawn in mm with the hinge at rest and gravity down.
+// The palms, the estimated object, and the rig's truth, drawn in mm relative to the hinge with gravity downwards.
 
-import { centreFromRadii, chords, MM, onPalm, outline, posture, SOME_PAD_MM, THICK_MM } from "./geometry.js";
+import { centreFromRadii, chords, MM, onPalm, outline, posture, DEFAULT_PAD_MM, THICK_MM } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
 import { dash, line, place, ring, write } from "./paths.js";
 import { palmsOf } from "./quantities.js";
 import { inSpace } from "./surface.js";
 import { SYSTEMS } from "./systems.js";
 import { colours, ofPalm } from "./theme.js";
-import { offTruth, truthAt } from "./truth.js";
+import { truthDifference, truthAt } from "./truth.js";
 
-const VIEW = { width: 2.7, height: 1.66, below: 0.235 }; // what is seen, in pads, and how much of it lies below the hinge
+// Visible area and its part below the hinge, in pad lengths
+const VIEW = { width: 2.7, height: 1.66, below: 0.235 };
 const FORCE_MM_PER_N = 12;
 const GRID_MM = 10;
-const LABEL_HALF = 16; // of a palm's name, in CSS pixels
-const ARC_POINTS = 32; // that a curved palm is drawn by
-const BEYOND = 1.2; // of its pad's length it has in the picture: longer arcs would meet
-const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its error
-const A_PIXEL = 0.01; // by which a picture of space is turned (rad), and by a key:
+// Half-width of a palm's label, in CSS pixels
+const LABEL_HALF = 16;
+const ARC_POINTS = 32; // points of a curved palm
+// Drawn length of a curved palm in pad lengths: longer arcs would meet
+const ARC_FRACTION = 1.2;
+// Line widths of the outline, for each class of its error
+const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1];
+// Rotation of a view of space per pixel; per key:
+const RAD_PER_PIXEL = 0.01;
 const KEYS = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
 
-/** What is loaded when it is first asked for: null until it is there, of which `came` hears. */
-function later(load, make, came) {
-  let [asked, made] = [false, null];
+/** A function that loads a module at its first call and returns null until it is there; then calls `onLoaded`. */
+function loadLater(load, make, onLoaded) {
+  let [requested, made] = [false, null];
   return () => {
-    if (!asked) {
-      asked = true;
+    if (!requested) {
+      requested = true;
       load().then((module) => {
         made = make(module);
-        came();
+        onLoaded();
       });
     }
     return made;
@@ -35,18 +40,21 @@ function later(load, make, came) {
 }
 
 export class Scene {
-  #space = later(() => import("./space.js"), ({ SpaceView }) => new SpaceView(), () => this.#renew());
-  #lens = later(() => import("./lens.js"), ({ Lens }) => new Lens(), () => this.#renew());
-  #others = SYSTEMS.map(({ drawing }) => later(drawing, ({ draw }) => draw, () => this.#renew()));
+  #space = loadLater(() => import("./space.js"), ({ SpaceView }) => new SpaceView(), () => this.#renew());
+  #lens = loadLater(() => import("./lens.js"), ({ Lens }) => new Lens(), () => this.#renew());
+  #others = SYSTEMS.map(({ drawing }) => loadLater(drawing, ({ draw }) => draw, () => this.#renew()));
   #lensOn = false;
-  #factor = 0; // of the lens; 0 while it shows nothing
-  #pointer = null; // CSS pixels in the canvas; null while there is none
+  // Magnification of the lens; 0 while it shows nothing
+  #factor = 0;
+  // CSS pixels in the canvas; null while there is none
+  #pointer = null;
   #scale = 1; // pixels per mm
-  #below = 0; // mm that are seen below the hinge
+  #below = 0; // visible mm below the hinge
   #canvas;
   #context;
   #pixels = { width: 0, height: 0, ratio: 1 };
-  #shape = null; // the message that #paths belong to
+  // The message that #paths belong to
+  #shape = null;
   #points = null;
   #paths = null;
   #truthShape = null;
@@ -54,7 +62,7 @@ export class Scene {
   #turns = false;
   #renew;
 
-  /** `renew` is called when there is to be another picture though nothing new is known. */
+  /** `renew` is called when the picture must be redrawn without new data. */
   constructor(canvas, renew) {
     [this.#canvas, this.#renew] = [canvas, renew];
     this.#context = canvas.getContext("2d", { alpha: false });
@@ -64,7 +72,7 @@ export class Scene {
     canvas.addEventListener("pointerleave", () => this.#point(null));
     canvas.addEventListener("pointerdown", ({ pointerId }) => canvas.setPointerCapture(pointerId));
     canvas.addEventListener("pointermove", ({ buttons, movementX, movementY }) => {
-      if (buttons & 1) this.#turn(-movementX * A_PIXEL, movementY * A_PIXEL);
+      if (buttons & 1) this.#turn(-movementX * RAD_PER_PIXEL, movementY * RAD_PER_PIXEL);
     });
     canvas.addEventListener("dblclick", () => {
       this.#space()?.reset();
@@ -82,12 +90,12 @@ export class Scene {
     return this.#paths !== null;
   }
 
-  /** By how much the lens magnifies at the moment; 0 while it shows nothing. */
+  /** Current magnification of the lens; 0 while it shows nothing. */
   get factor() {
     return this.#lensOn ? this.#factor : 0;
   }
 
-  /** Whether the lens is looked through. */
+  /** Switches the lens on or off. */
   setLens(on) {
     this.#lensOn = on;
     this.#renew();
@@ -98,10 +106,10 @@ export class Scene {
     if (this.#lensOn) this.#renew();
   }
 
-  /** Draws what `store` knows at `now` (ms). */
+  /** Draws the contents of `store` at `now` (ms). */
   draw(store, now) {
     const estimate = store.get("palm/estimate");
-    const other = SYSTEMS.findIndex(({ tells }) => tells(estimate));
+    const other = SYSTEMS.findIndex(({ isOwn }) => isOwn(estimate));
     if (other >= 0) {
       this.#factor = 0;
       this.#others[other]()?.(this, this.#context, store, now);
@@ -115,7 +123,7 @@ export class Scene {
     const palms = palmsOf(store.get("palm/info"));
     const joints = jointsOf(palms, estimate, store.get("palm/motion"));
     this.#factor = 0;
-    this.begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
+    this.begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || DEFAULT_PAD_MM);
     if (!joints) return;
     const stance = posture(palms, joints);
     const radii = palms.map(({ number }) => estimate[`r${number}_m`]);
@@ -136,8 +144,8 @@ export class Scene {
     if (centre) this.#drawCentre(centre, estimate.psi_rad);
     this.drawScale();
     if (this.#lensOn && turned && this.#paths && estimate.valid) {
-      const off = truth && offTruth(this.#points, store.get("rig/object"), truth, estimate);
-      this.#drawLens(estimate, centre, off, contacts.find(Boolean));
+      const truthOffset = truth && truthDifference(this.#points, store.get("rig/object"), truth, estimate);
+      this.#drawLens(estimate, centre, truthOffset, contacts.find(Boolean));
     }
   }
 
@@ -150,7 +158,7 @@ export class Scene {
     this.#space()?.draw(this.#context, this.#pixels, store, now);
   }
 
-  /** A picture of space can be turned, by the pointer or, once it is reached by Tab, by the arrow keys. */
+  /** Enables rotation of a view of space by the pointer or, with focus, by the arrow keys. */
   #inSpace(turns) {
     if (turns === this.#turns) return;
     this.#turns = turns;
@@ -195,7 +203,7 @@ export class Scene {
     context.restore();
   }
 
-  /** The truth in its own place, dashed. */
+  /** Draws the truth at its own pose, dashed. */
   drawTruth(object, truth, hinge) {
     const context = this.#context;
     if (object.h_m !== this.#truthShape) {
@@ -209,8 +217,8 @@ export class Scene {
     context.restore();
   }
 
-  /** The outline where the pointer is nearest to it, else at the first contact, else at its first normal. */
-  #drawLens(estimate, centre, off, contact) {
+  /** Draws the lens at the outline point nearest to the pointer, else to the first contact, else at the first normal. */
+  #drawLens(estimate, centre, truthOffset, contact) {
     const { ratio, width, height } = this.#pixels;
     const pointed = this.#pointer && [
       (this.#pointer[0] * ratio - width / 2) / this.#scale,
@@ -218,7 +226,7 @@ export class Scene {
     ];
     const lens = this.#lens();
     lens?.draw(this.#context, {
-      points: this.#points, sds: this.#shape.h_sd_m, off, centre, psi: estimate.psi_rad, target: pointed ?? contact,
+      points: this.#points, sds: this.#shape.h_sd_m, truthOffset, centre, psi: estimate.psi_rad, target: pointed ?? contact,
       screen: { ratio, width, height, scale: this.#scale, below: this.#below },
     });
     this.#factor = lens?.factor ?? 0;
@@ -233,7 +241,7 @@ export class Scene {
     context.strokeStyle = context.fillStyle = colours.ink;
     if (Number.isFinite(psi)) {
       context.rotate(psi);
-      line(context, [size, 0], [size * 2.6, 0]); // where the object's own x axis points
+      line(context, [size, 0], [size * 2.6, 0]); // the object's x axis
     }
     context.beginPath();
     context.arc(0, 0, size, 0, 2 * Math.PI);
@@ -252,14 +260,14 @@ export class Scene {
 
   // -- palms ------------------------------------------------------------------------------------------------------
 
-  /** The palm in its length, which may lead out of the picture, and the pad on it; no pad while its length is unknown. */
+  /** Draws a palm in full length, even beyond the picture, and its pad if its length is known. */
   #drawPalm({ number, lengthM, padM }, palm) {
     const length = (lengthM ?? 1) * MM;
     const pad = (padM ?? 0) * MM;
     const context = this.#context;
     const { along, normal, curvature } = palm;
     if (curvature) {
-      this.#drawArc(palm, 0, Math.min(length, BEYOND * (pad || SOME_PAD_MM)), THICK_MM, colours.line);
+      this.#drawArc(palm, 0, Math.min(length, ARC_FRACTION * (pad || DEFAULT_PAD_MM)), THICK_MM, colours.line);
       this.#drawArc(palm, 0.5, pad, THICK_MM * 0.42, ofPalm(number));
     } else {
       context.save();
@@ -272,16 +280,16 @@ export class Scene {
       context.fillRect(0.5, -THICK_MM * 0.42, pad, THICK_MM * 0.42);
       context.restore();
     }
-    this.label(`palm ${number}`, pad || SOME_PAD_MM, palm, ofPalm(number));
+    this.label(`palm ${number}`, pad || DEFAULT_PAD_MM, palm, ofPalm(number));
   }
 
-  /** A strip below the surface of a curved palm, from one arc length to another (mm). */
+  /** Draws a strip below the surface of a curved palm between two arc lengths (mm). */
   #drawArc(palm, from, to, thick, colour) {
     const context = this.#context;
-    const places = Array.from({ length: ARC_POINTS + 1 }, (_, i) => onPalm(palm, (from + ((to - from) * i) / ARC_POINTS) / MM));
+    const edge = Array.from({ length: ARC_POINTS + 1 }, (_, i) => onPalm(palm, (from + ((to - from) * i) / ARC_POINTS) / MM));
     context.beginPath();
-    for (const { point } of places) context.lineTo(point[0] * MM, point[1] * MM);
-    for (const { point, normal } of places.reverse()) {
+    for (const { point } of edge) context.lineTo(point[0] * MM, point[1] * MM);
+    for (const { point, normal } of edge.reverse()) {
       context.lineTo(point[0] * MM - normal[0] * thick, point[1] * MM - normal[1] * thick);
     }
     context.fillStyle = colour;
@@ -300,7 +308,7 @@ export class Scene {
     context.fill();
   }
 
-  /** Where the object touches the palm, with its force; the place (mm), null for none. */
+  /** Draws the contact with a palm and its force; returns its position (mm), null for none. */
   drawContact({ number }, palm, estimate, contact) {
     const context = this.#context;
     const s = estimate.valid ? estimate[`s${number}_m`] : contact[`s${number}_m`];
@@ -318,7 +326,7 @@ export class Scene {
     return point;
   }
 
-  /** Below the surface, `s` mm from the hinge; beside it where the surface is steep, as text is wider than high. */
+  /** Writes a label below the surface, `s` mm from the hinge, shifted sideways on steep surfaces. */
   label(text, s, palm, colour) {
     const out = -THICK_MM - this.thin(11);
     const { point, normal } = onPalm(palm, s / MM);
@@ -363,13 +371,13 @@ export class Scene {
     context.setTransform(scale, 0, 0, -scale, width / 2, height - this.#below * scale);
   }
 
-  /** The picture hides what is behind it, which then is not composed with it. */
+  /** Fills the opaque background, so that the browser need not blend. */
   #clear() {
     this.#context.fillStyle = colours.panel;
     this.#context.fillRect(0, 0, this.#pixels.width, this.#pixels.height);
   }
 
-  /** A grid that stands in the world, so that the hinge is seen to move. */
+  /** Draws a grid fixed to the world, which shows the motion of the hinge. */
   #drawGrid(hinge) {
     if (!hinge) return;
     const context = this.#context;
@@ -410,7 +418,7 @@ export class Scene {
     context.restore();
   }
 
-  /** So many CSS pixels, in mm. */
+  /** Converts CSS pixels to mm. */
   thin(pixels) {
     return (pixels * this.#pixels.ratio) / this.#scale;
   }
@@ -425,18 +433,18 @@ export class Scene {
   }
 }
 
-/** The joints' angles (rad): as estimated, else as the arm reports them; null for none. */
-function jointsOf(palms, ...tellers) {
+/** The joint angles (rad) from the first source that has all; null for none. */
+function jointsOf(palms, ...sources) {
   const names = palms.map(({ joint }) => `${joint}_rad`);
-  const teller = tellers.find((fields) => known(fields, ...names));
-  return teller ? names.map((name) => teller[name]) : null;
+  const source = sources.find((fields) => known(fields, ...names));
+  return source ? names.map((name) => source[name]) : null;
 }
 
 function known(fields, ...names) {
   return names.every((name) => Number.isFinite(fields[name]));
 }
 
-/** The parts of the outline by the class of their one-sigma, the best known first. */
+/** The parts of the outline by class of standard deviation, the smallest first. */
 function arcs(points, sds) {
   const paths = [...CLASSES_M, Infinity].map(() => new Path2D());
   const count = sds.length;

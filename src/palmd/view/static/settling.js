@@ -1,35 +1,35 @@
-// Whether the accuracy still changes while the palms stand: medians, for single late readings widen it for a moment.
+// Whether the accuracy still changes while the palms are at rest; by medians, as single late readings worsen it briefly.
 
-const WINDOW_S = 10; // a smoother beside the loop answers every few seconds
+const WINDOW_S = 10; // the fixed-lag smoother answers every few seconds
 const SHARE = 0.05;
 
 export class Settling {
   #seen = []; // {t, value} of the last ten seconds
-  #begun = NaN;
+  #start = NaN;
 
-  /** Begins anew. */
+  /** Clears the history. */
   reset() {
     this.#seen = [];
-    this.#begun = NaN;
+    this.#start = NaN;
   }
 
-  /** `value` as seen at `t` (s); what is no number counts for nothing. */
+  /** Adds `value` at `t` (s); values that are not finite are ignored. */
   take(value, t) {
     if (!Number.isFinite(value)) return;
-    if (Number.isNaN(this.#begun)) this.#begun = t;
+    if (Number.isNaN(this.#start)) this.#start = t;
     this.#seen.push({ t, value });
     this.#seen = this.#seen.filter((each) => each.t > t - WINDOW_S);
   }
 
-  /** The median of the last five seconds, NaN before there is one. */
+  /** The median of the last five seconds, NaN without values. */
   get value() {
     return this.#median((t, last) => t > last - WINDOW_S / 2);
   }
 
-  /** Whether that differs by at most 5 % from the median of the five seconds before. */
+  /** Whether the median differs by at most 5 % from that of the five seconds before. */
   get steady() {
     const last = this.#seen.at(-1)?.t ?? NaN;
-    if (!(last - this.#begun >= 0.95 * WINDOW_S)) return false;
+    if (!(last - this.#start >= 0.95 * WINDOW_S)) return false;
     const before = this.#median((t) => t <= last - WINDOW_S / 2);
     return Math.abs(this.value - before) <= SHARE * before;
   }

@@ -1,4 +1,4 @@
-// A list whose rows stay where they are: what is shown moves from row to row, and no row moves under a hand.
+// A list with fixed rows: items move between rows, and rows never move under the pointer.
 
 import { put } from "./text.js";
 
@@ -11,7 +11,7 @@ export function showInSlots(list, items, make, fill) {
   });
 }
 
-/** Sets a node's text where it changes, and the whole of it as its title. */
+/** Sets a node's text and title if the text changes. */
 export function fillText(node, text) {
   if (node.textContent === text) return;
   node.textContent = text;

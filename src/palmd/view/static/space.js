@@ -1,20 +1,20 @@
-// Three palms in space and the body between them, seen from a side that the pointer or the arrow keys turn.
+// Three palms in space and the body between them, in a view that can be rotated by pointer or arrow keys.
 
 import { classOf } from "./knowledge.js";
 import { arrow, line, mark, write } from "./paths.js";
 import { cross, dot, plus, rotation, scaled, surfaceOf, turned, unit } from "./surface.js";
 import { colours, ofPalm } from "./theme.js";
 
-const FROM = { around: -0.9, above: 0.45 }; // where it is seen from at first (rad)
+const FROM = { around: -0.9, above: 0.45 }; // initial view direction (rad)
 const STEEPEST = 1.5;
-const SEEN = 1.8; // what is seen, in sides of a pad
+const SEEN = 1.8; // visible size, in sides of a pad
 const SHADES = 12;
-const LIGHT = unit([-0.35, 0.5, 0.8]); // right, up, towards who looks
+const LIGHT = unit([-0.35, 0.5, 0.8]); // right, up, towards the viewer
 const DARKEST = 0.55;
 const MM = 1e3;
 const UP = [0, 0, 1];
 
-/** The palms for joint angles beta, gamma2, gamma3 (rad): each one's normal and its pad's axes a and b. */
+/** The palms for joint angles beta, gamma2, gamma3 (rad): normal and pad axes a and b of each. */
 export function palmsInSpace([beta, gamma2, gamma3]) {
   const edge = [1, 0, 0], b = [0, Math.cos(beta), Math.sin(beta)], first = [0, -Math.sin(beta), Math.cos(beta)];
   const mixed = (x, up) => plus(scaled(edge, x), b, up);
@@ -25,7 +25,7 @@ export function palmsInSpace([beta, gamma2, gamma3]) {
   ];
 }
 
-/** The corners of the convex hull of points of the plane, in their order round it. */
+/** The corners of the convex hull of planar points, in order. */
 export function hull(points) {
   const sorted = [...points].sort(([x, y], [u, v]) => x - u || y - v);
   const half = (row) => {
@@ -46,18 +46,18 @@ function turns([x0, y0], [x1, y1], [x2, y2]) {
 export class SpaceView {
   #from = { ...FROM };
 
-  /** Turns the side it is seen from (rad). */
+  /** Rotates the view direction (rad). */
   turn(around, above) {
     this.#from.around += around;
     this.#from.above = Math.max(-STEEPEST, Math.min(STEEPEST, this.#from.above + above));
   }
 
-  /** Seen as at first. */
+  /** Restores the initial view. */
   reset() {
     this.#from = { ...FROM };
   }
 
-  /** Draws what `store` knows at `now` (ms) on a cleared canvas of `pixels`. */
+  /** Draws the contents of `store` at `now` (ms) on a cleared canvas of the given size. */
   draw(context, { width, height, ratio }, store, now) {
     const info = store.get("palm/info"), estimate = store.get("palm/estimate");
     const joints = info.joints?.map((joint) => estimate[`${joint}_rad`]) ?? [];
@@ -66,12 +66,12 @@ export class SpaceView {
     const scale = Math.min(width, height) / (SEEN * info.pad_side_m);
     const middle = scaled(palms.reduce((sum, { centre }) => plus(sum, centre), [0, 0, 0]), 1 / palms.length);
     const eye = this.#eye();
-    const project = (place) => {
-      const off = plus(place, middle, -1);
-      return [width / 2 + dot(off, eye.right) * scale, height / 2 - dot(off, eye.up) * scale];
+    const project = (point) => {
+      const offset = plus(point, middle, -1);
+      return [width / 2 + dot(offset, eye.right) * scale, height / 2 - dot(offset, eye.up) * scale];
     };
     const seen = { context, ratio, eye, project, scale };
-    const behind = ({ normal }) => dot(normal, eye.towards) > 0; // the palm whose inner side is seen has the body before it
+    const behind = ({ normal }) => dot(normal, eye.towards) > 0; // a palm whose inner side is visible is behind the body
     for (const palm of palms.filter(behind)) drawPad(seen, palm, 0.3);
     const com = [estimate.com_x_m, estimate.com_y_m, estimate.com_z_m];
     const shape = store.get("palm/shape"), object = store.get("rig/object");
@@ -110,19 +110,19 @@ function drawPad({ context, project, ratio }, { number, centre, half, a, b }, fi
   context.lineWidth = 1.5 * ratio;
   context.stroke(path);
   const apex = project([0, 0, 0]);
-  const farthest = corners.reduce((far, each) => (apart(each, apex) > apart(far, apex) ? each : far));
+  const farthest = corners.reduce((far, each) => (distance(each, apex) > distance(far, apex) ? each : far));
   write(context, `palm ${number}`, farthest, ofPalm(number), ratio, 600);
 }
 
-/** Every triangle that faces who looks, by the class of its one-sigma and as bright as it faces the light. */
+/** Draws every triangle that faces the viewer, coloured by class of standard deviation and shaded by the light. */
 function drawBody({ context, project, eye, ratio }, shape, turn, com, valid) {
   const { sphere, surface: { points } } = surfaceOf(shape);
-  const places = points.map((point) => plus(turned(turn, point), com));
-  const flat = places.map(project);
+  const inWorld = points.map((point) => plus(turned(turn, point), com));
+  const flat = inWorld.map(project);
   const paths = new Map();
   for (const [i, j, k] of sphere.faces) {
     if (turns(flat[i], flat[j], flat[k]) >= 0) continue; // y goes down on a canvas
-    const normal = unit(cross(plus(places[j], places[i], -1), plus(places[k], places[i], -1)));
+    const normal = unit(cross(plus(inWorld[j], inWorld[i], -1), plus(inWorld[k], inWorld[i], -1)));
     const lit = dot([dot(normal, eye.right), dot(normal, eye.up), dot(normal, eye.towards)], LIGHT);
     const shade = Math.round(Math.max(0, lit) * SHADES);
     const error = classOf(Math.max(shape.h_sd_m[i], shape.h_sd_m[j], shape.h_sd_m[k]));
@@ -145,7 +145,7 @@ function drawBody({ context, project, eye, ratio }, shape, turn, com, valid) {
   context.globalAlpha = 1;
 }
 
-/** The truth's contour in its own place, dashed. */
+/** Draws the truth's contour at its own pose, dashed. */
 function drawGhost({ context, project, ratio }, object, turn, com) {
   const { points } = surfaceOf(object).surface;
   context.save();
@@ -184,11 +184,11 @@ function ring(corners) {
   return path;
 }
 
-function apart([x, y], [u, v]) {
+function distance([x, y], [u, v]) {
   return Math.hypot(x - u, y - v);
 }
 
-/** A colour #rrggbb so many times as bright. */
+/** A colour #rrggbb with its brightness multiplied by `bright`. */
 function darkened(colour, bright) {
   return `rgb(${[1, 3, 5].map((i) => Math.round(parseInt(colour.slice(i, i + 2), 16) * bright)).join(" ")})`;
 }

@@ -1,11 +1,12 @@
-// What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
+// The received data: last message of each topic with its time, and the histories for the strips.
 
 import { History } from "./history.js";
 import { Pyramid } from "./pyramid.js";
 import { ESTIMATE, keptAs, LISTED, staleMs, STRIPS } from "./quantities.js";
 import { fieldsOf } from "./systems.js";
 
-const KEPT_S = 12; // of every tick: what is older is kept as least and largest values
+// Every tick is kept for this time, older data as minima and maxima
+const KEPT_S = 12;
 const GAP_S = 2;
 
 const DRAWN = STRIPS.flatMap(({ names }) => names);
@@ -13,7 +14,8 @@ const STATE = DRAWN.filter((name) => ESTIMATE[name].uncertain);
 const IN_LISTS = new Set(LISTED.map(({ name }) => name));
 const HEALTH = DRAWN.filter((name) => !ESTIMATE[name].uncertain && !IN_LISTS.has(name));
 const TRUTH = Object.keys(ESTIMATE).filter((name) => ESTIMATE[name].truth === "rig/truth");
-export const TURN = ["x", "y", "z", "w"].map((part) => `quat ${part}`); // of a body in space
+// Orientation of a body in space
+export const TURN = ["x", "y", "z", "w"].map((part) => `quat ${part}`);
 export const SD = "sd ";
 
 export class Store {
@@ -26,12 +28,12 @@ export class Store {
     this.estimates = new History(columns, rows, GAP_S);
     this.run = new Pyramid(columns);
     this.truths = new History([...TRUTH, ...TURN], rows, GAP_S);
-    this.palmAt = -Infinity; // when palmd was heard last, performance.now()
+    this.palmAt = -Infinity; // time of the last message of palmd, performance.now()
   }
 
-  /** One message, at `now` (ms). */
-  take(said, as, now) {
-    const [topic, fields] = [keptAs(said), fieldsOf(said, as)];
+  /** Stores a message received at `now` (ms). */
+  take(topicName, message, now) {
+    const [topic, fields] = [keptAs(topicName), fieldsOf(topicName, message)];
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
     if (topic.startsWith("palm/")) this.palmAt = now;
@@ -50,16 +52,16 @@ export class Store {
     return this.#latest.has(topic);
   }
 
-  /** A number in a list of a message, NaN where there is none. */
+  /** An element of a list in a message, NaN if missing. */
   listed({ topic, list, index }) {
     return this.get(topic)[list]?.[index] ?? NaN;
   }
 
-  /** What a picture from `from` to `to` (s) shows: {times, values(name, scale), whole}; `whole`: every tick is at hand. */
+  /** The data for a picture from `from` to `to` (s): {times, values(name, scale), whole}; `whole`: every tick is available. */
   cut(from, to, stride) {
     if (!(this.estimates.oldest <= Math.max(from, this.run.oldest) + 0.5)) return this.run.cut(from, to);
     const [first, last] = this.estimates.rows(from, to);
-    const every = (column) => column.filter((_, i) => (first + i) % stride === 0); // the same rows each time
+    const every = (column) => column.filter((_, i) => (first + i) % stride === 0); // always the same rows
     return {
       times: every(this.estimates.slice(null, first, last)),
       values: (name, scale) => every(this.estimates.slice(name, first, last, scale)),
@@ -67,22 +69,22 @@ export class Store {
     };
   }
 
-  /** How long ago (ms) a topic was heard last. */
+  /** The age (ms) of a topic's last message. */
   age(topic, now) {
     return now - (this.#cameAt.get(topic) ?? -Infinity);
   }
 
-  /** Whether what there is to see is old. */
+  /** Whether the estimate is too old. */
   stale(now) {
     return now - this.palmAt > staleMs("palm/estimate");
   }
 
-  /** Whether an emulated rig tells the truth at the moment. */
+  /** Whether an emulated rig currently publishes the truth. */
   truthful(now) {
     return this.age("rig/truth", now) < 2 * staleMs("rig/truth") && this.has("rig/object");
   }
 
-  /** Whether what comes is a recorded run. */
+  /** Whether the messages are a replay of a recorded run. */
   replayed(now) {
     return this.age("replay/run", now) < staleMs("replay/run");
   }
@@ -97,7 +99,7 @@ export class Store {
   }
 }
 
-/** The tick of a message (s, the machine's monotonic clock). */
+/** The time of a message (s, monotonic clock). */
 export function seconds(fields) {
   return fields.mono_ns * 1e-9;
 }

@@ -1,22 +1,27 @@
-// Strips: a piece of the run of a quantity or two with ± one sigma, their limits, and by how much they differ from the truth.
+// Strips: plots of quantities over a time window with ± 1 sd, limits, and differences from the truth.
 
-import { ESTIMATE, LISTED, STRIPS, told } from "./quantities.js";
+import { ESTIMATE, LISTED, STRIPS, hasAny } from "./quantities.js";
 import { element, number, put } from "./text.js";
 import { SD } from "./store.js";
 import { colours } from "./theme.js";
 
-const STRIDE = 3; // 33 samples a second are as many as there are pixels
-const LANE = 0.36; // of a strip's height, for the difference from the truth
+// 33 samples per second, about one per pixel
+const STRIDE = 3;
+// Fraction of a strip's height for the difference from the truth
+const LANE = 0.36;
 const STEPS = [1, 2, 5, 10];
-const SELECTED_PX = 8; // a narrower selection is a click
-const CURSORS = "strips"; // what the plots share their cursor by
-const EVERY_MS = 100; // that each plot is drawn anew at most
+// A narrower selection is a click
+const SELECTED_PX = 8;
+const CURSORS = "strips"; // key of the shared cursor
+// Shortest period of redrawing each plot
+const ROUND_MS = 100;
 
 export class Strips {
   #groups = [];
   #strips;
   #turn = 0;
-  #begunAt = -Infinity; // of this round, ms
+  // Start of the current round, ms
+  #roundStart = -Infinity;
   #timeline;
 
   constructor(container, timeline, store) {
@@ -34,20 +39,20 @@ export class Strips {
       for (const { target, isIntersecting } of entries) {
         const strip = this.#strips.find(({ figure }) => figure === target);
         strip.inView = isIntersecting;
-        if (isIntersecting) strip.draw(store); // the store may be of a run that is over
+        if (isIntersecting) strip.draw(store); // the run may be over, without further draws
       }
     });
     for (const { figure } of this.#strips) watcher.observe(figure);
   }
 
-  /** Draws the next `count` plots in view, at `now` (ms): all of them at once would take a whole frame. */
+  /** Draws the next `count` visible plots at `now` (ms); all at once would take a whole frame. */
   draw(store, count, now) {
     this.#timeline.reach(Math.min(store.estimates.oldest, store.run.oldest), store.estimates.newest);
     const shown = this.#strips.filter((strip) => strip.inView && !strip.hidden);
     for (let i = 0; i < Math.min(count, shown.length); i++) {
       if (this.#turn >= shown.length) {
-        if (now - this.#begunAt < EVERY_MS) return;
-        [this.#turn, this.#begunAt] = [0, now];
+        if (now - this.#roundStart < ROUND_MS) return;
+        [this.#turn, this.#roundStart] = [0, now];
       }
       shown[this.#turn++].draw(store);
     }
@@ -57,7 +62,7 @@ export class Strips {
     return this.#strips.length;
   }
 
-  /** Shows the strips of the system whose estimate is at hand. */
+  /** Shows the strips of the system of the current estimate. */
   #choose(estimate, store) {
     for (const alike of Map.groupBy(this.#strips, ({ title }) => title).values()) {
       const fits = alike.map((strip) => strip.fit(estimate, store));
@@ -71,14 +76,14 @@ export class Strips {
     }
   }
 
-  /** The numbers above the strips; whether there is a truth to differ from. */
-  tell(store, truthful) {
+  /** Updates the numbers above the strips; `truthful`: whether the truth is known. */
+  update(store, truthful) {
     this.#choose(store.get("palm/estimate"), store);
-    for (const strip of this.#strips) strip.tell(store, truthful);
-    this.#timeline.tell(this.#strips.find((strip) => !strip.hidden)?.cursor ?? NaN);
+    for (const strip of this.#strips) strip.update(store, truthful);
+    this.#timeline.update(this.#strips.find((strip) => !strip.hidden)?.cursor ?? NaN);
   }
 
-  /** Puts the cursor of all plots at so much of their width, 0…1. */
+  /** Puts the cursor of all plots at a fraction of their width, 0…1. */
   point(share) {
     this.#strips.find((strip) => !strip.hidden)?.point(share);
   }
@@ -93,15 +98,17 @@ class Strip {
   inView = false;
   #spec;
   #values = [];
-  #verdict = null; // says whether the value is good
-  #frame; // what the plot fills
+  // Element that shows whether the value is within its limits
+  #verdict = null;
+  #frame; // container of the plot
   #plot;
   #range = [0, 1];
-  #lane = null; // half the height of the lane in shown units; null without a truth
+  // Half the height of the lane in displayed units; null without a truth
+  #lane = null;
   #truthful = false;
-  #columns = []; // what was drawn last
+  #columns = []; // last drawn data
   #timeline;
-  #limits = []; // in shown units
+  #limits = []; // in displayed units
 
   constructor(container, spec, timeline) {
     [this.#spec, this.#timeline] = [spec, timeline];
@@ -110,9 +117,9 @@ class Strip {
     spec.names.forEach((name, i) => {
       const { symbol, meaning } = ESTIMATE[name];
       const value = element("span", "value");
-      const one = element("span", "told");
-      one.append(Object.assign(element("span", `name ${spec.colours[i]}`, symbol), { title: meaning }), value);
-      caption.append(one);
+      const readout = element("span", "readout");
+      readout.append(Object.assign(element("span", `name ${spec.colours[i]}`, symbol), { title: meaning }), value);
+      caption.append(readout);
       this.#values.push(value);
     });
     if (spec.unit) caption.append(element("span", "unit", spec.unit));
@@ -131,24 +138,24 @@ class Strip {
     return this.#spec.title;
   }
 
-  /** How many of its quantities there are. */
+  /** The number of its quantities in the estimate. */
   fit(estimate, store) {
     const { names, limit } = this.#spec;
-    return limit?.listed ? store.get(limit.topic)[limit.listed]?.length ?? 0 : names.filter((name) => told([name], estimate)).length;
+    return limit?.listed ? store.get(limit.topic)[limit.listed]?.length ?? 0 : names.filter((name) => hasAny([name], estimate)).length;
   }
 
-  /** Shows it or not, and the names of those quantities that there are. */
+  /** Shows or hides the strip and the names of its quantities. */
   choose(shown, estimate) {
     const { names, limit } = this.#spec;
-    if (shown && !limit?.listed) names.forEach((name, i) => put(this.#values[i].parentElement, "hidden", !told([name], estimate)));
+    if (shown && !limit?.listed) names.forEach((name, i) => put(this.#values[i].parentElement, "hidden", !hasAny([name], estimate)));
     const hidden = !shown;
     if (hidden === this.hidden) return;
     this.figure.hidden = hidden;
     if (!hidden) this.resize();
   }
 
-  /** The last value of each curve with its sigma. */
-  tell(store, truthful) {
+  /** Updates the value and standard deviation of each curve, at the cursor or now. */
+  update(store, truthful) {
     const estimate = store.get("palm/estimate");
     const { names, factor, digits } = this.#spec;
     this.#limits = this.#limitsIn(store);
@@ -166,12 +173,12 @@ class Strip {
     }
   }
 
-  /** Where the cursor stands (s), NaN for nowhere. */
+  /** The time at the cursor (s), NaN without a cursor. */
   get cursor() {
     return this.#plot.cursor.left >= 0 ? this.#plot.posToVal(this.#plot.cursor.left, "x") : NaN;
   }
 
-  /** Puts the cursor at so much of the width, 0…1. */
+  /** Puts the cursor at a fraction of the width, 0…1. */
   point(share) {
     this.#plot.setCursor({ left: share * this.#plot.over.clientWidth, top: 0 }, true, true);
   }
@@ -181,7 +188,7 @@ class Strip {
     return listed ? store.listed(listed) : store.get("palm/estimate")[name];
   }
 
-  /** Value and one-sigma of the i-th quantity in the picture, at row `at`; in shown units. */
+  /** Value and standard deviation of the i-th quantity at row `at`, in displayed units. */
   #at(i, at) {
     const { names } = this.#spec;
     const column = 1 + names.slice(0, i).reduce((sum, name) => sum + (ESTIMATE[name].uncertain ? 3 : 1), 0);
@@ -190,7 +197,7 @@ class Strip {
     return [value, above - value];
   }
 
-  /** The limits of the quantities, in shown units. */
+  /** The limits of the quantities, in displayed units. */
   #limitsIn(store) {
     const { limit, good, factor } = this.#spec;
     if (good) return good.filter((end) => end !== null);
@@ -234,7 +241,7 @@ class Strip {
       lanes.push(combined(value, truth, -1), sd, sd.map((v) => (v === null ? null : -v)));
     }
     this.#range = this.#extent(curves);
-    if (this.#lane !== null) this.#lane = tidy(lanes, this.#spec.digits);
+    if (this.#lane !== null) this.#lane = roundLimit(lanes, this.#spec.digits);
     this.#columns = [x, ...curves, ...lanes];
     this.#plot.setData(this.#columns);
   }
@@ -253,13 +260,13 @@ class Strip {
     return this.#truthful && Boolean(ESTIMATE[name].truth);
   }
 
-  /** The axis: all there is to see with some air, no less than the least span, and where the good zone begins. */
+  /** The range of the y axis: all data with a margin, at least the smallest span, and the beginning of the good zone. */
   #extent(columns) {
     const { span, low, good } = this.#spec;
     const limits = good ? [] : this.#limits;
     let [least, most] = extremes(columns);
     if (least > most) [least, most] = low === null ? [-span / 2, span / 2] : [low, low + span];
-    if (good) most = Math.max(most, 1.4 * good[0]); // so that one sees where it would be good
+    if (good) most = Math.max(most, 1.4 * good[0]); // the good zone is visible
     if (limits.length) most = Math.max(most, 1.15 * Math.min(...limits));
     if (limits.length && low === null) least = Math.min(least, -1.15 * Math.min(...limits));
     const air = Math.max((most - least) * 0.08, (span - (most - least)) / 2);
@@ -281,7 +288,7 @@ class Strip {
     };
     for (const name of names) add(name, "y");
     const compared = names.filter((name) => this.#compared(name));
-    for (const name of compared) add(name, "off");
+    for (const name of compared) add(name, "error");
     this.#lane = compared.length ? 1 : null;
     const axis = { stroke: () => colours.ink, font: "11px system-ui, sans-serif", ticks: { show: false } };
     const grid = { stroke: () => colours.faint, width: 1 };
@@ -291,7 +298,7 @@ class Strip {
         values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : minus(tick))) },
     ];
     if (this.#lane !== null) {
-      axes.push({ ...axis, scale: "off", side: 1, grid, size: 46, gap: 4, splits: () => [-this.#lane, 0, this.#lane],
+      axes.push({ ...axis, scale: "error", side: 1, grid, size: 46, gap: 4, splits: () => [-this.#lane, 0, this.#lane],
         filter: (_, ticks) => ticks, values: (_, ticks) => ticks.map((tick) => minus(Number(tick.toPrecision(3)))) });
     }
     return new uPlot({
@@ -301,8 +308,8 @@ class Strip {
       legend: { show: false },
       scales: {
         x: { time: false, range: () => this.#timeline.window },
-        y: { range: () => this.#above() },
-        off: { range: () => this.#below() },
+        y: { range: () => this.#mainRange() },
+        error: { range: () => this.#laneRange() },
       },
       axes,
       series,
@@ -315,19 +322,19 @@ class Strip {
     }, [[], ...series.slice(1).map(() => [])], this.#frame);
   }
 
-  /** The range of the axis with room for the lane below. */
-  #above() {
+  /** The range of the main axis, with room for the lane below. */
+  #mainRange() {
     const [least, most] = this.#range;
     return this.#lane === null ? [least, most] : [least - ((most - least) * LANE) / (1 - LANE), most];
   }
 
-  /** The range of the lane's axis, of which all but the lane is above. */
-  #below() {
+  /** The range of the lane's axis, with the lane at the bottom. */
+  #laneRange() {
     const half = (this.#lane ?? 1) * 1.25;
     return [-half, half * (2 / LANE - 1)];
   }
 
-  /** Where all is well. */
+  /** Draws the zone of good values. */
   #drawZone(plot) {
     if (!this.#spec.good) return;
     const [low, high] = this.#spec.good;
@@ -339,7 +346,7 @@ class Strip {
     plot.ctx.fillRect(plot.bbox.left, upper, plot.bbox.width, lower - upper);
   }
 
-  /** The limits as dashed lines. */
+  /** Draws the limits as dashed lines. */
   #drawLimits(plot) {
     const { left, top, width, height } = plot.bbox;
     const both = !this.#spec.good && this.#spec.low === null;
@@ -357,7 +364,7 @@ class Strip {
     plot.ctx.restore();
   }
 
-  /** What is dragged over is shown alone, in all plots. */
+  /** Zooms all plots to the selected range. */
   #select(plot) {
     const { left, width } = plot.select;
     if (width < SELECTED_PX) return;
@@ -391,14 +398,14 @@ function extremes(columns) {
 }
 
 /** A round number (1, 2 or 5 times a power of ten) that no value of the columns exceeds. */
-function tidy(columns, digits) {
+function roundLimit(columns, digits) {
   const [least, most] = extremes(columns);
   const largest = least > most ? 0 : Math.max(-least, most);
   const power = 10 ** Math.floor(Math.log10(Math.max(largest, 10 ** -digits)));
   return power * STEPS.find((step) => step * power >= largest);
 }
 
-/** The truth of a quantity at the times `x`; no values where there is no truth. */
+/** The truth of a quantity at the times `x`; null where unknown. */
 function truthOn(x, name, store, factor) {
   const { truth } = ESTIMATE[name];
   if (truth === "rig/truth") return store.truths.valuesAt(x, name, factor);

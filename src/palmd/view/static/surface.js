@@ -1,4 +1,4 @@
-// A body's surface from its support function on the corners of a halved icosahedron. Pure. Lengths in m, axes of the body.
+// A body's surface from its support function on the vertices of a subdivided icosahedron. Pure. Lengths in m, body frame.
 
 const GOLDEN = (1 + Math.sqrt(5)) / 2;
 const CORNERS = [[-1, GOLDEN, 0], [1, GOLDEN, 0], [-1, -GOLDEN, 0], [1, -GOLDEN, 0], [0, -1, GOLDEN], [0, 1, GOLDEN],
@@ -14,15 +14,15 @@ export const scaled = (v, by) => v.map((each) => each * by);
 export const unit = (v) => scaled(v, 1 / Math.hypot(...v));
 export const plus = (v, w, by = 1) => v.map((each, i) => each + by * w[i]);
 
-/** Whether an estimate is of a body in space. */
+/** Whether an estimate describes a body in space. */
 export function inSpace(estimate) {
   return Array.isArray(estimate.quat_xyzw);
 }
 
 /**
- * Unit directions, triangles between them that go round counterclockwise seen from outside, and `slopes`: what of which
- * neighbour's support function makes each one's gradient. At each halving the middles of all edges come next, in the
- * order of the numbers of their ends.
+ * Unit directions, triangles (counterclockwise seen from outside), and `slopes`: weights of the neighbours' support
+ * function for the gradient at each direction. Each subdivision appends the midpoints of all edges, ordered by the numbers
+ * of their ends.
  */
 export function icosphere(halvings) {
   if (!spheres.has(halvings)) spheres.set(halvings, halved(halvings));
@@ -66,8 +66,8 @@ function slopesAt(directions, i, neighbours) {
 }
 
 /**
- * Where a body with the support function `h` has each direction as its normal, x = h n + grad h, and its mean radius of
- * curvature there: {points, bends}.
+ * The surface points of a body with support function `h`, x = h n + grad h for each direction n as normal, and the mean
+ * radius of curvature there: {points, bends}.
  */
 export function surface({ directions, slopes }, h) {
   const points = directions.map((n, i) => slopes[i].reduce((x, [j, along, rise]) => plus(x, along, h[j] - rise * h[i]), scaled(n, h[i])));
@@ -75,7 +75,7 @@ export function surface({ directions, slopes }, h) {
   return { points, bends };
 }
 
-/** What a message's `halvings` and `h_m` make, computed once for each: {sphere, surface}. */
+/** The sphere and surface of a message's `halvings` and `h_m`, cached: {sphere, surface}. */
 export function surfaceOf(message) {
   if (!surfaces.has(message)) {
     const sphere = icosphere(message.halvings);
@@ -84,7 +84,7 @@ export function surfaceOf(message) {
   return surfaces.get(message);
 }
 
-/** The support function at any unit direction, from the point whose normal is nearest to it, to second order. */
+/** The support function at any unit direction, to second order from the point with the nearest normal. */
 export function support({ directions }, { points, bends }, direction) {
   let [nearest, most] = [0, -1];
   for (let i = 0; i < directions.length; i++) {
@@ -94,7 +94,7 @@ export function support({ directions }, { points, bends }, direction) {
   return dot(points[nearest], direction) + bends[nearest] * (1 - most);
 }
 
-/** The rotation of a unit quaternion x, y, z, w, as rows. */
+/** The rotation matrix of a unit quaternion x, y, z, w, as rows. */
 export function rotation([x, y, z, w]) {
   return [
     [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -103,12 +103,12 @@ export function rotation([x, y, z, w]) {
   ];
 }
 
-/** A vector of the body in the world. */
+/** Rotates a vector from the body frame to the world frame. */
 export function turned(rows, v) {
   return rows.map((row) => dot(row, v));
 }
 
-/** A vector of the world in the body. */
+/** Rotates a vector from the world frame to the body frame. */
 export function turnedBack(rows, v) {
   return [0, 1, 2].map((i) => rows[0][i] * v[0] + rows[1][i] * v[1] + rows[2][i] * v[2]);
 }

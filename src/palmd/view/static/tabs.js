@@ -1,15 +1,15 @@
-// The page's views, one at a time: a tab list by the pattern of the ARIA authoring practices.
+// The page's views, one at a time: a tab list after the ARIA authoring practices.
 
 const STEPS = { ArrowLeft: -1, ArrowRight: 1 };
 
 export class Tabs {
   #tabs;
-  #shown;
+  #onOpened;
 
-  /** `shown(name)` hears which view is opened; the tabs name their panels by `aria-controls`. */
-  constructor(list, shown) {
+  /** `onOpened(name)` is called when a view is opened; the tabs name their panels by `aria-controls`. */
+  constructor(list, onOpened) {
     this.#tabs = [...list.querySelectorAll("[role=tab]")];
-    this.#shown = shown;
+    this.#onOpened = onOpened;
     for (const tab of this.#tabs) tab.addEventListener("click", () => this.open(tab.dataset.view));
     list.addEventListener("keydown", (event) => {
       const at = this.#tabs.indexOf(document.activeElement);
@@ -29,6 +29,6 @@ export class Tabs {
       tab.tabIndex = chosen ? 0 : -1;
       document.getElementById(tab.getAttribute("aria-controls")).hidden = !chosen;
     }
-    this.#shown(name);
+    this.#onOpened(name);
   }
 }

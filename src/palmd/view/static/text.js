@@ -1,11 +1,11 @@
-// Text on the page: it is only touched where it changes.
+// Text on the page, set only if it changes.
 
-/** Shows `text` in the element of that id. */
+/** Shows `text` in the element with the given id. */
 export function set(id, text) {
   put(document.getElementById(id), "textContent", text);
 }
 
-/** Sets a property of a node, or of its dataset, where it changes: a browser styles a node anew whenever one is set. */
+/** Sets a property of a node, or of its dataset, if it changes: browsers restyle a node whenever a property is set. */
 export function put(node, name, value) {
   if (node[name] !== value) node[name] = value;
 }
@@ -20,7 +20,7 @@ export function number(value, digits, unit = "") {
   return value.toFixed(digits).replace(/^-(?=[0.]*$)/, "").replace("-", "−") + (unit && ` ${unit}`);
 }
 
-/** A table's row; the first cell heads it. */
+/** A table row whose first cell is its header. */
 export function row(first, ...cells) {
   const line = document.createElement("tr");
   line.append(Object.assign(element("th", "", first), { scope: "row" }), ...cells.map(({ id = "", text = "–", words = false }) =>

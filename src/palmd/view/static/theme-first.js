@@ -1,9 +1,9 @@
-// Before anything is drawn: light or dark as chosen on this page, else as the system has it.
+// Sets the light or dark theme before anything is drawn: as chosen on this page, else as in the system.
 (() => {
   let chosen = null;
   try {
     chosen = localStorage.getItem("palmd-theme");
-  } catch { /* no storage here */ }
+  } catch { /* no storage available */ }
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   document.documentElement.dataset.theme = chosen ?? (dark ? "dark" : "light");
 })();

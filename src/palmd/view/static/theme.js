@@ -1,4 +1,4 @@
-// The page's colours, for what is drawn on canvases, and the choice of light or dark; colours are defined in page.css alone.
+// The page's colours for canvases, and the choice of light or dark theme; colours are defined only in page.css.
 
 const NAMES = ["ink", "faint", "line", "panel", "estimate-fill", "truth", "band", "single", "good-fill", "good", "bad"];
 const STORED = "palmd-theme";
@@ -27,17 +27,17 @@ function apply() {
 read();
 dark.addEventListener("change", apply);
 
-/** The colour of what belongs to a palm. */
+/** The colour of a palm and its quantities. */
 export function ofPalm(number) {
   return colours[`palm${number}`] ?? colours.single;
 }
 
-/** Calls back when the colours have changed. */
+/** Registers a callback for changes of the colours. */
 export function onColours(changed) {
   listeners.push(changed);
 }
 
-/** Makes `button` choose between the system's colours, light and dark. */
+/** Makes `button` cycle through the system's theme, light and dark. */
 export function chooseTheme(button) {
   const show = () => button.setAttribute("aria-label", `Colours: ${choice}`);
   button.addEventListener("click", () => {

@@ -1,4 +1,4 @@
-// Which piece of the run the plots show: the last seconds live, or a piece that is paused, scrubbed to or zoomed into.
+// The time window of the plots: the last seconds live, or a paused, scrubbed or zoomed part of the run.
 
 const NARROWEST_S = 0.5;
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 21600];
@@ -6,19 +6,19 @@ const TICKS = 5;
 
 export class Timeline {
   #span = 10; // s; infinite for the whole run
-  #end = NaN; // of the piece shown, while paused
+  #end = NaN; // end of the window while paused
   #newest = NaN;
   #oldest = NaN;
   #controls;
 
-  /** `controls` by name: span, pause, scrub, cursor, narrower, wider, says; `moved(share)` hears where the cursor is put. */
-  constructor(controls, moved) {
+  /** `controls` by name: span, pause, scrub, cursor, narrower, wider, label; `onCursor(fraction)` is called when the cursor moves. */
+  constructor(controls, onCursor) {
     this.#controls = controls;
     const { span, pause, scrub, cursor, narrower, wider } = controls;
     span.addEventListener("change", () => { this.#span = Number(span.value); });
     pause.addEventListener("click", () => this.pause(!this.paused));
     scrub.addEventListener("input", () => this.#scrub(Number(scrub.value)));
-    cursor.addEventListener("input", () => moved(Number(cursor.value) / Number(cursor.max)));
+    cursor.addEventListener("input", () => onCursor(Number(cursor.value) / Number(cursor.max)));
     narrower.addEventListener("click", () => this.#scale(0.5));
     wider.addEventListener("click", () => this.#scale(2));
   }
@@ -27,30 +27,30 @@ export class Timeline {
     return Number.isFinite(this.#end);
   }
 
-  /** Stops at what is shown, or goes on live. */
+  /** Freezes the window, or returns to live. */
   pause(on) {
     this.#end = on ? this.#newest : NaN;
     this.#controls.pause.setAttribute("aria-pressed", String(on));
   }
 
-  /** What is kept of the run, from its oldest to its newest time (s). */
+  /** Sets the stored time range of the run (s). */
   reach(oldest, newest) {
     if (newest < this.#newest) this.pause(false); // another run
     [this.#oldest, this.#newest] = [oldest, newest];
   }
 
-  /** The piece to show: [from, to] (s). */
+  /** The window to show: [from, to] (s). */
   get window() {
     const to = this.paused ? this.#end : this.#newest;
     return [Number.isFinite(this.#span) ? to - this.#span : Math.min(this.#oldest, to - NARROWEST_S), to];
   }
 
-  /** Whether the last ten seconds are shown as they come. */
+  /** Whether the last ten seconds are shown live. */
   get live() {
     return !this.paused && this.#span === 10;
   }
 
-  /** Shows from `from` to `to` (s), which somebody has chosen in a plot. */
+  /** Shows from `from` to `to` (s), as selected in a plot. */
   zoom(from, to) {
     this.#span = Math.max(to - from, NARROWEST_S);
     this.#end = Math.max(to, from + NARROWEST_S);
@@ -58,31 +58,31 @@ export class Timeline {
     this.#showSpan();
   }
 
-  /** Shows in the controls where the piece is; `cursor` (s) is where the cursor stands, NaN for nowhere. */
-  tell(cursor) {
-    const { scrub, pause, says } = this.#controls;
+  /** Updates the controls; `cursor`: time at the cursor (s), NaN without one. */
+  update(cursor) {
+    const { scrub, pause, label: output } = this.#controls;
     const [from, to] = this.window;
     const range = Math.max(this.#newest - this.#oldest, NARROWEST_S);
     if (document.activeElement !== scrub || !this.paused) {
       scrub.value = String(Math.round(((to - this.#oldest) / range) * Number(scrub.max)) || 0);
     }
-    const label = this.paused ? "Go on live" : "Pause";
+    const label = this.paused ? "Live" : "Pause";
     if (pause.textContent !== label) pause.textContent = label;
     const words = !Number.isFinite(to) ? "" : [
-      this.paused ? `${relative(from - this.#newest)} to ${relative(to - this.#newest)}` : `last ${lasting(to - from)}, live`,
-      Number.isFinite(cursor) ? `cursor ${relative(cursor - this.#newest)}` : "",
+      this.paused ? `${ageText(from - this.#newest)} to ${ageText(to - this.#newest)}` : `last ${durationText(to - from)}, live`,
+      Number.isFinite(cursor) ? `cursor ${ageText(cursor - this.#newest)}` : "",
     ].filter(Boolean).join("; ");
-    if (says.textContent !== words) says.textContent = words;
+    if (output.textContent !== words) output.textContent = words;
   }
 
-  /** Times (s) at which an axis is marked, and their labels: so long before the newest. */
+  /** Tick times (s) of an axis, and their labels: ages relative to the newest time. */
   ticks() {
     const [from, to] = this.window;
     const step = STEPS_S.find((each) => (to - from) / each <= TICKS) ?? STEPS_S.at(-1);
     const base = this.paused ? to : this.#newest;
     const marks = [];
     for (let back = step; base - back > from; back += step) marks.unshift(base - back);
-    return { marks, labels: marks.map((mark) => relative(mark - this.#newest)) };
+    return { marks, labels: marks.map((mark) => ageText(mark - this.#newest)) };
   }
 
   #scale(factor) {
@@ -100,7 +100,7 @@ export class Timeline {
     this.#showSpan();
   }
 
-  /** The choice shows the span where it is one of those offered, else none of them. */
+  /** Selects the current span in the list if it is offered there. */
   #showSpan() {
     const { span } = this.#controls;
     const offered = [...span.options].find(({ value }) => Number(value) === this.#span);
@@ -108,11 +108,11 @@ export class Timeline {
   }
 }
 
-function lasting(seconds) {
+function durationText(seconds) {
   if (seconds < 100) return `${Number(seconds.toPrecision(2))} s`;
   return seconds < 6000 ? `${(seconds / 60).toFixed(1)} min` : `${(seconds / 3600).toFixed(1)} h`;
 }
 
-function relative(seconds) {
-  return Math.abs(seconds) < 0.005 ? "now" : `−${lasting(Math.abs(seconds))}`;
+function ageText(seconds) {
+  return Math.abs(seconds) < 0.005 ? "now" : `−${durationText(Math.abs(seconds))}`;
 }
