@@ -1,4 +1,4 @@
-"""A palmd rig as a robot of lerobot: joint angles and touch as observations, jog steps as actions.
+"""A palmd rig as a lerobot robot: joint angles and contacts as observations, jog steps as actions.
 
 Put it into a package called `lerobot_robot_palmd` beside lerobot, pyzmq and msgpack; palmd itself is not imported.
 """
@@ -14,7 +14,7 @@ ANGLES = {"phi1.pos": "phi1_rad", "phi2.pos": "phi2_rad"}
 TOUCH = ("s1_m", "s2_m", "f1_n", "f2_n")
 OBJECT = ("psi_rad", "rho_m", "mass_kg", "mu")
 STEP_DEG = 0.5
-"""The largest jog step that palmd takes."""
+"""The largest jog step that palmd accepts."""
 
 
 @RobotConfig.register_subclass("palmd")
@@ -71,7 +71,7 @@ class Palmd(Robot):
         self._bus = None
 
     def get_observation(self):
-        """The newest estimate; what is not valid yet is 0, and `valid` says so."""
+        """The latest estimate; while it is not valid, `valid` and all values but the angles are 0."""
         while self._bus.poll(0 if self._latest else 1000):
             self._latest = msgpack.unpackb(self._bus.recv_multipart()[1])
         valid = float(self._latest["valid"])
@@ -80,7 +80,7 @@ class Palmd(Robot):
         return values | {"valid": valid}
 
     def send_action(self, action):
-        """Turns the palms towards the angles (rad) by one small step; call it every 0.1 s or sooner."""
+        """Turn the palms towards the angles (rad) by one small step; call it at least every 0.1 s."""
         steps = {}
         for name, field in ANGLES.items():
             away_deg = (action[name] - self._latest[field]) * 180.0 / 3.141592653589793
@@ -93,4 +93,4 @@ class Palmd(Robot):
         self._commands.send(msgpack.packb(request))
         reply = msgpack.unpackb(self._commands.recv())
         if not reply["ok"]:
-            raise RuntimeError(f"palmd refuses {command}: {reply['error']}")
+            raise RuntimeError(f"palmd refused {command}: {reply['error']}")

@@ -1,4 +1,4 @@
-"""Passes palmd's estimate on to ROS 2: palms and object as joint states. Needs ROS 2 (rclpy), pyzmq and msgpack."""
+"""Publishes palmd's estimate in ROS 2: palms and object as joint states. Needs ROS 2 (rclpy), pyzmq and msgpack."""
 
 import msgpack
 import rclpy
