@@ -57,16 +57,16 @@ _shtab_palmd_calibrate_commands() {
 
 _shtab_palmd_ctl_commands() {
   local _commands=(
-    arm:'from ready: starts tracking and stands at the present pose'
+    arm:'from ready: starts tracking and holds the present pose'
     explore:'have a running daemon touch the whole outline of the object'
     hold:'stops the motion along its path; tracking goes on'
-    jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
-    new_object:'begins a new object: the observer forgets the one on the palms (two palms only)'
-    note:'writes a note about this time into the recording'
-    plan:'loads another plan, validated first; not while moving'
-    reset:'clears latched faults that are gone, and a faulted controller; never an e-stop'
-    start:'blends to the plan'"'"'s start and runs it; goes on after a hold'
-    status:'tells state, faults, plan, angles and estimate'
+    jog:'turns the palms by small steps; they stop if the next step does not arrive within 200 ms'
+    new_object:'starts a new object: the observer forgets the present one (two palms only)'
+    note:'writes a note with the present time into the recording'
+    plan:'validates and loads another plan; not while moving'
+    reset:'clears latched faults whose cause is gone, and a faulted controller; never an e-stop'
+    start:'moves smoothly to the plan'"'"'s start and runs it; resumes after a hold'
+    status:'returns state, faults, plan, angles and estimate'
     stop:'planned stop, back to ready'
   )
   _describe 'palmd ctl commands' _commands
@@ -137,7 +137,7 @@ _shtab_palmd_calibrate_curvature_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for curvature.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -148,7 +148,7 @@ _shtab_palmd_calibrate_force_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for force.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--mass-g[of the cylinder]:M:"
   "--rounds[through all poses (default\: 8)]:N:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
@@ -159,13 +159,13 @@ _shtab_palmd_calibrate_force_defaults_added=0
 
 _shtab_palmd_calibrate_gravity_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--roller[what rolls\; a cylinder must be full (default\: ball)]:roller:(ball cylinder)"
-  "--rolls[on each steep slope, a third of it on each shallow one (default\: 40)]:N:"
-  "--clear[both pads must be free for so long before the palms move (default\: 3)]:S:"
+  "--roller[what rolls\; a cylinder must be solid (default\: ball)]:roller:(ball cylinder)"
+  "--rolls[on each steep slope, a third of it on each gentle one (default\: 40)]:N:"
+  "--clear[how long both pads must be free before the palms move (default\: 3)]:S:"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   {-o,--output}"[for gravity.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the configuration that the daemon runs with, palmd.yaml:_files"
 )
 
@@ -198,8 +198,8 @@ _shtab_palmd_calibrate_pads_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for pads.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--curve[the readings are not proportional\: find curve_mm too]"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--curve[also find curve_mm, for readings that are not proportional]"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -221,8 +221,8 @@ _shtab_palmd_calibrate_standoff_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for standoff.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--second-radius-mm[of the other one]:R:"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--second-radius-mm[of the second one]:R:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -281,7 +281,7 @@ _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
 )
 
@@ -292,7 +292,7 @@ _shtab_palmd_ctl_arm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "--take[take control from another client]"
   "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
@@ -309,7 +309,7 @@ _shtab_palmd_ctl_explore_options=(
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--listen[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -319,7 +319,7 @@ _shtab_palmd_ctl_hold_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
 )
 
@@ -330,7 +330,7 @@ _shtab_palmd_ctl_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "--take[take control from another client]"
   "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
@@ -345,7 +345,7 @@ _shtab_palmd_ctl_new_object_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
 )
 
@@ -356,7 +356,7 @@ _shtab_palmd_ctl_note_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "(*):text of the note, stored with the current time of the run:"
 )
@@ -368,7 +368,7 @@ _shtab_palmd_ctl_plan_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "--take[take control from another client]"
   "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
@@ -382,7 +382,7 @@ _shtab_palmd_ctl_reset_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "--take[take control from another client]"
   "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
@@ -395,7 +395,7 @@ _shtab_palmd_ctl_start_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
   "--take[take control from another client]"
   "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
@@ -408,7 +408,7 @@ _shtab_palmd_ctl_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
 )
 
@@ -419,7 +419,7 @@ _shtab_palmd_ctl_stop_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as JSON]"
 )
 
@@ -431,8 +431,8 @@ _shtab_palmd_demo_options=(
   "--seconds[duration of the run in s]:N:"
   "--no-browser[serve the live page, but do not open a browser]"
   "--seed[seed of object and noise\; default\: random, printed]:seed:"
-  "--kind[what sort of object (default\: rig\; in MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
-  "--physics[who moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, which takes ellipses (default\: palmd)]:physics:(palmd mujoco)"
+  "--kind[kind of object (default\: rig\; with MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
+  "--physics[what moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, for ellipses (default\: palmd)]:physics:(palmd mujoco)"
   "--no-record[do not record\; the default is to record into runs\/]"
   "--perfect[use an exactly known rig]"
   "--system[cradle\: two concave palms\; pivot\: a pivoting grasp\; three_palms\: three palms in space]:system:(cradle pivot three_palms)"
@@ -630,17 +630,17 @@ _shtab_palmd_report_defaults_added=0
 
 _shtab_palmd_rig_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seed[which object, pads and noise\; default\: a random one, printed]:seed:"
-  "--kind[what sort of object (default\: rig\; in MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
-  "--physics[who moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, which takes ellipses (default\: palmd)]:physics:(palmd mujoco)"
-  "--marble[a marble rolls over this pad\; then there is no object]:marble:(1 2 both)"
-  "*--cylinder[a turned cylinder is the object\; given again\: it is exchanged for that one]:RADIUS_MM,MASS_G:"
-  "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
+  "--seed[seed of object, pads and noise\; default\: a random one, printed]:seed:"
+  "--kind[kind of object (default\: rig\; with MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
+  "--physics[what moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, for ellipses (default\: palmd)]:physics:(palmd mujoco)"
+  "--marble[a marble rolls over this pad\; there is no other object]:marble:(1 2 both)"
+  "*--cylinder[the object is this solid cylinder\; repeat for the ones it is exchanged for]:RADIUS_MM,MASS_G:"
+  "--roller[it rolls down the gentler palm\; there is no other object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
-  "--uinput[emulated input devices are the kernel\'s own\; a desktop beside it takes them too until palmd does]"
-  "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
-  "--sockets[serial ports are UNIX sockets, which no busy machine holds up]"
+  "*--mischief[inject a fault\; may be repeated\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "--uinput[emulate input devices by the kernel\'s uinput\; a desktop receives their events until palmd opens them]"
+  "--ports[folder of its ports, created if needed\; default\: a temporary one]:FOLDER:_files"
+  "--sockets[serial ports are UNIX sockets, which a busy machine does not delay]"
   ":palmd.yaml\; default\: as shipped:_files"
 )
 
@@ -675,7 +675,7 @@ _shtab_palmd_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--once[print the status once and exit]"
 )
 
@@ -687,7 +687,7 @@ _shtab_palmd_view_options=(
   "--address[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--command[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:command:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--truth[address at which an emulated rig publishes its truth]:ADDRESS:"
   "--runs[folder of the recordings (default\: the configuration\'s)]:FOLDER:_files"
   "--port[port of the page\; 0\: any free port (default\: 8787)]:port:"
