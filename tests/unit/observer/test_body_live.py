@@ -385,7 +385,7 @@ def test_what_was_found_but_once_is_not_claimed(lived):
     enough = -(-2 * first.intervals // 3)
     assert lived.smoother._make_answer(task, [replace(first, confirmed=enough)]).accepted
     said = lived.smoother._make_answer(task, [replace(first, confirmed=enough - 1)])
-    assert (said.accepted, said.reason) == (False, "no second start has come to the same motion yet")
+    assert (said.accepted, said.reason) == (False, "the motion is not yet confirmed by an independent restart")
 
 
 def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
@@ -394,7 +394,7 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
     said = lived.told(observer, stub, lived.END + 0.5, lived.END + 0.05)
     before = [each for each in said if each.t < lived.END]
     assert not any(each.valid for each in before)
-    assert before[-1].reason == "no motion is known yet that explains the readings"
+    assert before[-1].reason == "no motion found yet that explains the readings"
     valid = [each for each in said if each.valid]
     assert valid
     assert valid[0].t < lived.END + 0.3
@@ -498,7 +498,7 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # what was claimed is contradicted a little
     assert observer.has_planning_belief
     assert not observer.planning_belief(lived.END + 0.4).accepted
-    stub.next = replace(lived.answer, accepted=False, reason="the readings tell too little of the shape")
+    stub.next = replace(lived.answer, accepted=False, reason="the readings determine too little of the shape")
     said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
     assert (said.valid, observer.has_planning_belief, observer.planning_belief(lived.END + 0.45).accepted) == (
         False,
@@ -522,7 +522,7 @@ def turned(answer, G, begun):
 
 def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_that_foretells(lived):
     at, G = lived.END + 0.2, exp(np.array([0.4, -0.9, 0.3]))
-    lost = replace(lived.answer, hypotheses=0, accepted=False, reason="what explained the readings does so no more")
+    lost = replace(lived.answer, hypotheses=0, accepted=False, reason="the motion no longer explains the readings")
     for foretells in (True, False):
         observer = BodyObserver(lived.rig, stub := Stub())
         lived.told(observer, stub, at, lived.END + 0.05)
@@ -599,7 +599,10 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
     assert smoother._make_answer(task, costly).accepted
     worse = [replace(ended[0], cost=1.1 * reconstruct.PROVEN_COST * ended[0].record.numbers)]
-    assert smoother._make_answer(task, worse).reason == "no motion by the equations explains the readings"
+    assert (
+        smoother._make_answer(task, worse).reason
+        == "no motion that satisfies the equations of motion explains the readings"
+    )
 
 
 def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
@@ -607,7 +610,8 @@ def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
     tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, 9.0))
     costly = replace(first, motion=tumbled, cost=1.2 * first.record.numbers)
     assert (
-        reconstruct.reconstruction_of(task, [costly], 0.0).reason == "no motion by the equations explains the readings"
+        reconstruct.reconstruction_of(task, [costly], 0.0).reason
+        == "no motion that satisfies the equations of motion explains the readings"
     )
 
 
@@ -730,7 +734,7 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     assert smoother._confirm(task, [first]) == [first]
     assert tried == ["whole"]
     said = smoother._make_answer(task, [first])
-    assert (said.accepted, "other starts" in said.reason) == (False, True)
+    assert (said.accepted, "restarts are pending" in said.reason) == (False, True)
     found = []  # nothing else
     assert smoother._confirm(task, [first])[0] is first
     assert tried == ["whole", "short"]

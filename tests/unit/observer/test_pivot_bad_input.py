@@ -61,7 +61,7 @@ CASES = [
     (one_branch, "only one side of the dead centre was touched"),
     (constant_height, "the pivot's height hardly changes (0.00 mm)"),
     (mirrored_height, "contradict the readings"),
-    (below_the_pad, "below the pad's surface: z contradicts it"),
+    (below_the_pad, "below the pad's surface: check z"),
     (outside_the_body, "the pivot would lie outside the body: z contradicts the readings"),
 ]
 NAMES = [case[0].__name__ for case in CASES]

@@ -63,5 +63,5 @@ def test_what_is_told_too_badly_is_not_claimed_live():
     found = replace(reconstruct((), PivotRig()), converged=True, outline_sd_m=2.0 * ACCEPTED_M)
     answer = answer_of(found, 1.0)
     assert not answer.accepted
-    assert answer.reason == "the outline is told to 0.10 mm so far: it is claimed from 0.05 mm on"
+    assert answer.reason == "the outline's standard deviation is 0.10 mm; 0.05 mm is accepted"
     assert not answer_of(rejected("why"), 1.0).accepted

@@ -43,7 +43,7 @@ def smoother(monkeypatch):
 
 def test_an_outline_is_claimed_when_it_comes_again_from_more_readings(smoother):
     smoother.add(felt(0.0, 4.0))
-    assert "when more readings tell the same" in smoother.answer().reason
+    assert "once more readings confirm it" in smoother.answer().reason
     smoother.add(felt(4.0, 4.0 + AGREE_S / 2))
     assert not smoother.answer().accepted
     smoother.add(felt(4.0 + AGREE_S / 2, 4.1 + AGREE_S))

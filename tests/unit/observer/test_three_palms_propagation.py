@@ -371,7 +371,7 @@ def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(tas
     monkeypatch.setattr(propagation, "_start_sets", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
     assert propagation.ranked_hypotheses(task) == [right, alone]
     sd = np.full(3, 1e-5)
-    assert "no second start" in rejection_reason(task, [alone], sd, 0.0)
+    assert "not yet confirmed" in rejection_reason(task, [alone], sd, 0.0)
     assert not rejection_reason(task, [alone], sd, 0.0, proven=True)
     assert not rejection_reason(task, [alone], 9.0 * sd, 0.0, proven=True)
     assert "too little" in rejection_reason(task, [replace(alone, confirmed=right.intervals)], 9.0 * sd, 0.0)

@@ -104,7 +104,7 @@ def test_a_log_is_estimated_tick_by_tick_by_the_fields_of_its_topic(log, tmp_pat
     assert len(lines) == 47
     assert lines[-1]["beta_rad"] == pytest.approx(0.9)
     assert lines[-1]["valid"] is False
-    assert lines[-1]["reason"] == "no motion is known yet that explains the readings"
+    assert lines[-1]["reason"] == "no motion found yet that explains the readings"
     assert {"quat_xyzw", "omega_x_rad_s", "com_z_m", "a3_m", "h2_m", "f1_n", "inertia_xx_m2"} <= set(lines[-1])
 
 

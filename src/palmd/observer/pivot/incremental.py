@@ -52,7 +52,7 @@ class IncrementalPivotSmoother:
             return answer_of(rejected(reason), readings[-1])
         found = reconstruct(self._events, self._rig)
         if self._slides and found.converged and not self._is_confirmed(found, readings[-1]):
-            found = rejected("an outline was found, and is claimed when more readings tell the same")
+            found = rejected("an outline was found; it is accepted once more readings confirm it")
         return answer_of(found, readings[-1])
 
     def _is_confirmed(self, found: PivotReconstruction, t: float) -> bool:
@@ -115,8 +115,8 @@ def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
     none = np.zeros(0)
     if found.converged and found.outline_sd_m > ACCEPTED_M:
         reason = (
-            f"the outline is told to {found.outline_sd_m * 1e3:.2f} mm so far: "
-            f"it is claimed from {ACCEPTED_M * 1e3:g} mm on"
+            f"the outline's standard deviation is {found.outline_sd_m * 1e3:.2f} mm; "
+            f"{ACCEPTED_M * 1e3:g} mm is accepted"
         )
         return PivotAnswer(t, False, reason, math.nan, none, np.zeros((0, 0)), none, none)
     is_accepted = found.converged and found.h_sd is not None and found.touched is not None

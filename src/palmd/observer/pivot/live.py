@@ -63,7 +63,7 @@ class PivotObserver:
         self._unsent: list[Event] = []
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
-        self._reason = "nothing is known of the outline yet"
+        self._reason = "no outline is known yet"
         self._invalid_because = self._reason
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
@@ -145,7 +145,7 @@ class PivotObserver:
         values = measured | unknown | {"e": at.e, "s": x + at.e, "psi": now.psi, "omega0": now.omega0, "f": now.force}
         if math.isfinite(now.z_sd):
             values["z"], sd["z"] = at.h, now.z_sd
-        invalid_reason = "" if at.h_sd < OUTLINE_SD_LIMIT_M else "the outline has not been felt here yet"
+        invalid_reason = "" if at.h_sd < OUTLINE_SD_LIMIT_M else "the outline has not been touched here yet"
         return self._estimate_of(t, values, sd, invalid_reason, valid=not invalid_reason)
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -234,8 +234,8 @@ class PivotObserver:
         if not self._touching:
             return "nothing touches the pad"
         if self._psi is None:
-            return "it is not known which way the body was put down"
-        return "" if self._nis < NIS_LIMIT else "the readings contradict the outline that was claimed"
+            return "the orientation in which the body was put down is not known yet"
+        return "" if self._nis < NIS_LIMIT else "the readings contradict the estimated outline"
 
     def _lift(self) -> None:
         self._recent.clear()
@@ -296,4 +296,4 @@ class PivotObserver:
             self._psi = self._body.locate(x, z, [each.s for each in self._recent], near=answer.psi)
 
 
-_NO_ORIENTATION = "the pivot is over the contact, or the height contradicts the outline"
+_NO_ORIENTATION = "the pivot is above the contact, or the height contradicts the outline"

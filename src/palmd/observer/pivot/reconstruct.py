@@ -54,7 +54,7 @@ HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
 TORQUE_CHI2 = 4.0
 HOLLOW_M = 1e-3  # largest negative radius of curvature
 OUTSIDE_SIGMAS = 3.0  # standard deviations
-ONE_SIDE = "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
+ONE_SIDE = "only one side of the dead centre was touched: touch both sides, so that the force relates them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, started: float) -> 
     except TooLittleError as error:
         return _rejected(str(error), started), math.inf
     except np.linalg.LinAlgError:
-        return _rejected("no motion of a body was found that explains the readings", started), math.inf
+        return _rejected("no motion of a body explains the readings", started), math.inf
 
 
 def _most_likely(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
@@ -186,15 +186,17 @@ def _check_observable(record: PivotRecord) -> None:
     """Raise TooLittleError for runs that obviously do not determine an outline."""
     z = record.heights.value
     if z.min() <= 0.0:
-        raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: z contradicts it")
+        raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: check z")
     lift, path = (
         float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X])
     )
     if record.rig.vertical == "float" and path < LEAST_PATH_M:
-        raise TooLittleError(f"the arm hardly moves ({path * 1e3:.2f} mm): nothing rolls, and nothing is told")
+        raise TooLittleError(
+            f"the arm hardly moves ({path * 1e3:.2f} mm): without rolling the outline is not observable"
+        )
     if record.rig.vertical == "rigid" and lift < LEAST_LIFT_M:
         raise TooLittleError(
-            f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone tells nothing of the outline"
+            f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone does not determine the outline"
         )
 
 
@@ -213,7 +215,7 @@ def _minima(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     fits = [fit for fit in fits if fit.cost < HOPELESS * fits[0].cost]
     fits = _distinct([_refined(problem, fit.c, fit.p, (UNSOFTENED,)) for fit in fits])
     if not fits:
-        raise TooLittleError("no motion of a body was found that explains the readings")
+        raise TooLittleError("no motion of a body explains the readings")
     problem = with_model_forces(problem, kernels, fits[0])
     refined = [problem.fit(fit.c, fit.p) for fit in fits]
     if not rigid and record.rig.vibration.law == "sign_pairs":
@@ -262,7 +264,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         covariance = problem.covariance(best)
         moves = rig_error_modes(problem, best)
     except np.linalg.LinAlgError:
-        raise TooLittleError("the fit is not a minimum") from None
+        raise TooLittleError("the fit did not converge to a minimum") from None
     sd_known_rig = gauge_free_sd(
         theta,
         theta[touched],
@@ -274,7 +276,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     reason = _rejection_reason(record, best, fits[1:], theta, h, h_sd, touched)
     outline_sd_m = float(np.sqrt(np.mean(sd_known_rig[touched] ** 2)))
     if not reason and outline_sd_m > MOST_SD_M:
-        reason = "the readings tell too little of the outline"
+        reason = "the readings determine too little of the outline"
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
     mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
@@ -330,9 +332,9 @@ def _rejection_reason(
     ]
     if not all(tests):
         figures = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
-        return f"z or force contradict the readings, or the body does not move as one rigid body: {figures}"
+        return f"z or force contradict the readings, or the body is not rigid: {figures}"
     if not best.converged:
-        return "the iteration has not settled"
+        return "the iteration has not converged"
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
     if rig.vertical == "rigid":
@@ -342,7 +344,7 @@ def _rejection_reason(
         ):
             return ONE_SIDE
         if not forces:
-            return "the pad gives no force: nothing tells how the sides of the dead centre belong together"
+            return "the pad gives no force, which is needed to relate both sides of the dead centre"
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
     if curvature[touched].min() < -HOLLOW_M:
         return "only a hollow outline explains the readings"

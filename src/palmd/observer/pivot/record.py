@@ -139,11 +139,11 @@ def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
     samples = {each.t_sample: each for each in events if isinstance(each, GripperSample)}
     ordered = [samples[t] for t in sorted(samples)]
     if len(ordered) < LEAST_SAMPLES:
-        raise TooLittleError("the arm hardly reports where the pivot is")
+        raise TooLittleError("the arm hardly reports the pivot's position")
     t, x = np.array([(each.t_sample, each.x) for each in ordered]).T
     heights = [each.z for each in ordered if each.z is not None]
     if len(heights) < len(ordered) or not rig.z_measured:
-        raise TooLittleError("the pivot's height is not measured: without it the size of the outline stays open")
+        raise TooLittleError("the pivot's height is not measured, which is needed for the size of the outline")
     z = np.array(heights)
     noise = rig.arm_noise
     along_x = axis_path(t, x, [each.vx for each in ordered], [each.ax for each in ordered], noise)
@@ -155,7 +155,7 @@ def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Pivo
     """Lay out a run; raises TooLittleError if no contact is long enough."""
     found = _touches(events, arm, rig)
     if not found:
-        raise TooLittleError("the pad is nowhere touched for long enough")
+        raise TooLittleError("the pad is never touched for long enough")
     spacing = SPACING_S[rig.vertical]
     touches: list[TouchSpan] = []
     first = 0

@@ -117,7 +117,7 @@ class IncrementalBodySmoother:
             return None
         record_start, is_new = self._record_start, not self._hypotheses  # before `_give_up` resets it
         if is_new and not self._start_search(task):
-            return _unknown_answer(task, record_start, "no motion is known yet that explains the readings")
+            return _unknown_answer(task, record_start, "no motion found yet that explains the readings")
         self._processed_until = task.end
         before = self._hypotheses[0].intervals
         ended = propagate_and_prune(task, self._hypotheses, branchings=BRANCHINGS_PER_UPDATE)
@@ -129,7 +129,7 @@ class IncrementalBodySmoother:
             self._reset_confirmation()
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
-            return _unknown_answer(task, record_start, "what explained the readings does so no more")
+            return _unknown_answer(task, record_start, "the motion no longer explains the readings")
         if first.growth_since_refit > 1.0:  # it was pruned before its refit, and the others cost more after theirs
             first = ended[0] = refit(task, first)
         if first.is_confirmed and first.cost_per_number < HOPELESS_COST:
@@ -292,7 +292,7 @@ class IncrementalBodySmoother:
         try:
             covariance: FloatArray = np.asarray(np.linalg.inv(first.end_belief.information), np.float64)
         except np.linalg.LinAlgError:
-            return _unknown_answer(task, self._record_start, "the fit is not a minimum")
+            return _unknown_answer(task, self._record_start, "the fit did not converge to a minimum")
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.end_belief.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.end_belief.R, first.end_belief.spin + x[3:STATES], x[STATES:]
         # recomputed, as earlier answers may have been wrong
@@ -308,7 +308,7 @@ class IncrementalBodySmoother:
         if not reason and not first.is_confirmed:
             reason = UNCONFIRMED
         if not reason and self._short_starts_due:
-            reason = "the readings are not explained to their noise, and other starts are still to be tried"
+            reason = "the readings are not explained to their noise, and restarts are pending"
         if not reason:
             self._accepted = True
         mass, mass_sd = mass_of(rig, first)

@@ -126,11 +126,11 @@ class BodyObserver:
                 rotation, attitude = quaternion(now.R), tuple(spread.tolist())
                 worst = max(body_sd[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
                 if not reason and not worst < CONTACT_SD_LIMIT_M:
-                    reason = "the body rolls onto what has not been felt yet"
+                    reason = "the body rolls onto surface that has not been touched yet"
                 self._predictive = not missing and filtered.nis < NIS_PREDICTIVE and worst < CONTACT_SD_LIMIT_M
                 self._store_normals(now, t)
             else:
-                reason, self._filter = "the filter has lost it", None
+                reason, self._filter = "the filter has diverged", None
         self._invalid_because = reason
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
@@ -276,8 +276,8 @@ class BodyObserver:
         if not answer.accepted:
             return answer.reason
         if self._filter is None:
-            return "the readings since the smoother's answer are being caught up with"
-        return "" if self._filter.nis < NIS_LIMIT else "the readings contradict the motion that was claimed"
+            return "the filter is catching up with the readings since the smoother's answer"
+        return "" if self._filter.nis < NIS_LIMIT else "the readings contradict the estimated motion"
 
     def _missing_input(self, t: float) -> str:
         """Which input is missing now; empty if none is."""
@@ -287,7 +287,7 @@ class BodyObserver:
             return f"nothing touches palm {', '.join(map(str, untouched))}"
         if self._joints is None or t - self._joints.t > GAP_S:
             return "the joints are not reported"
-        return "no motion is known yet that explains the readings" if self._answer is None else ""
+        return "no motion found yet that explains the readings" if self._answer is None else ""
 
     def _store_normals(self, now: BodyFilter, t: float) -> None:
         """Store the contact normals, in the body's frame."""

@@ -37,7 +37,7 @@ MOST_SD_M = 7e-5  # largest RMS 1σ of the touched surface
 PROVEN_COST, PROVEN_SD_M = 2.0, 1e-4
 """Limits of cost and χ² per number read, and of the touched surface's 1σ, for a live hypothesis that is proven: it was
 confirmed, and has predicted the readings for long since."""
-UNCONFIRMED = "no second start has come to the same motion yet"
+UNCONFIRMED = "the motion is not yet confirmed by an independent restart"
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,21 +192,21 @@ def rejection_reason(
         (PROVEN_COST, PROVEN_COST, PROVEN_SD_M) if proven else (MOST_CHI2, MOST_COST, MOST_SD_M)
     )
     if first.record.t[-1] < task.end - 0.1:
-        return f"what explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
+        return f"the motion that explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
     if first.whole_fit.chi2 > most_chi2:
         return "the readings are not explained to their noise"
     if first.cost_per_number > most_cost:
-        return "no motion by the equations explains the readings"
+        return "no motion that satisfies the equations of motion explains the readings"
     if any(each.contradicts(first) for each in ended[1:]):
         return "another motion explains the readings as well"
     if first.needs_confirmation and not proven:
         return UNCONFIRMED
     if first.largest_lambda > MOST_LAMBDA:
-        return "only an inertia that no such body has explains the readings"
+        return "only an impossible inertia explains the readings"
     if hollow > HOLLOW_CHI2:
         return "only a hollow body explains the readings"
     if float(np.sqrt(np.mean(sd**2))) > most_sd:
-        return "the readings tell too little of the shape"
+        return "the readings determine too little of the shape"
     return ""
 
 
