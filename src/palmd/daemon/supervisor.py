@@ -200,7 +200,7 @@ class Supervisor:
 
     def stop_on_fault(self) -> None:
         """React to a stop fault: a planned stop in any state."""
-        self._autostart.clear()  # who resets it must not be surprised by an arm that moves
+        self._autostart.clear()  # a reset must not start a motion
         self._change(Trigger.STOP_FAULT, self._standing(Severity.STOP))
         self._stand_down("a fault occurred; see status")
 

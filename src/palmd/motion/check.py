@@ -161,7 +161,7 @@ def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
         return []
     try:
         server_keys(config.bus.keys)
-    except KeysClosedError:  # the service's own: `palmd doctor` tells what its user may do
+    except KeysClosedError:  # the service's own: `palmd doctor` reports what its user may do
         return []
     except KeysError as error:
         return [document.line(document.place(("bus", "keys")), f"bus.keys: {error}")]
@@ -173,7 +173,7 @@ def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
     place = document.place(("record", "directory"))
     try:
         there = nearest(config.record.directory)
-    except PermissionError:  # the service's own, most often: `palmd doctor` tells what its user may do
+    except PermissionError:  # the service's own, most often: `palmd doctor` reports what its user may do
         return []
     except OSError as error:
         return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
@@ -194,7 +194,7 @@ def _plan_named(document: Document, config: AnyConfig, errors: list[str], *, giv
         return []
     try:
         there = config.plan.exists()
-    except OSError:  # whoever reads it tells why
+    except OSError:  # reported when it is read
         return [config.plan]
     if not there:
         beside = {each.stem: each for each in _plans_beside(config.plan)}

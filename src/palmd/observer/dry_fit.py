@@ -34,7 +34,7 @@ RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
 KEPT = 16  # filters that begin with a fit: they know the object
 TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
-BLIND_S = 0.015  # before and after a change, in which forces tell of blows
+BLIND_S = 0.015  # before and after a change, in which forces are those of impacts
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
@@ -102,7 +102,7 @@ class DryModel:
         self.record, self.prior, self.phases = record, prior, phases
         self._path, self._gain_stds = path, gain_stds
         contact_t, force_t = record.contact_t, record.force_t
-        # A node's time and a reading's may differ by rounding alone: no rate is told between them.
+        # A node's time and a reading's may differ by rounding alone: no rate can be computed between them.
         times = np.round(np.concatenate([record.t, contact_t, force_t]), SAME_DECIMALS)
         self._t, index = np.unique(times, return_inverse=True)
         self._nodes, self._contacts, self._forces = np.split(index, np.cumsum([len(record.t), len(contact_t)]))

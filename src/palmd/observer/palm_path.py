@@ -22,7 +22,7 @@ from palmd.observer.palms import (
 )
 from palmd.system.mechanism import JOINTS
 
-UNPLANNED_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
+UNPLANNED_JERK = 20.0  # rad/s³/√Hz without a plan: follows a planned stop; more only lets more noise through
 _DRIFT = np.diag([0.0, 1e-8, 1e-8])
 _FIRST: FloatArray = np.array([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
 

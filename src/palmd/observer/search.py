@@ -66,7 +66,7 @@ RIVAL = 25.0  # twice the log-likelihood by which a rival may be worse and is ke
 DOUBT = 9.0  # and by which it makes the answer ambiguous
 LIKELIER = 5.0  # log evidence by which one minimum is preferred to another
 DIFFERENT_M = 1e-4  # RMS difference of the outlines from which two fits are rivals rather than the same
-CHI2_SIGMAS, CHI2_SLACK = 3.0, 0.02
+CHI2_SIGMAS, CHI2_ALLOWANCE = 3.0, 0.02
 SECOND_OPINION_SIGMAS = 0.5
 MOST_FORCE_CHI2 = 4.0  # of forces that are noisier than described; beyond twice the noise another cause is assumed
 MOST_OUTLIERS = 0.2
@@ -596,7 +596,7 @@ def nothing_moves(record: Record) -> bool:
 
 def consistent(chi2: float, readings: int, sigmas: float = CHI2_SIGMAS) -> bool:
     """Whether so many readings are explained to their noise."""
-    return chi2 < 1.0 + CHI2_SLACK + sigmas * math.sqrt(2.0 / max(readings, 1))
+    return chi2 < 1.0 + CHI2_ALLOWANCE + sigmas * math.sqrt(2.0 / max(readings, 1))
 
 
 def _difference(one: Fit, other: Fit) -> float:

@@ -44,7 +44,7 @@ LN_MASS = slice(STANDOFF.stop, STANDOFF.stop + len(PALMS))  # as each pad weighs
 MU1, MU2 = range(LN_MASS.stop, LN_MASS.stop + 2)
 SIZE = MU2 + 1
 MASS_INDICES = np.arange(LN_MASS.start, LN_MASS.stop)
-_CONTACT_STATE = slice(SHAPE.start, STANDOFF.stop)  # what tells where it touches
+_CONTACT_STATE = slice(SHAPE.start, STANDOFF.stop)  # states that determine the contacts
 _OF_STANDOFFS = slice(C.RIG + R.STANDOFF, C.RIG + R.STANDOFF + len(PALMS))  # among the constants of `model.smoothing`
 _LITTLE = 1e-6
 

@@ -87,7 +87,7 @@ class _StateLog:
         self._last = (state, faults)
         recording.set_time(TIMELINE, timestamp=np.datetime64(t_ns, "ns"))
         text = ": ".join([state, ", ".join(faults)] if faults else [state])
-        recording.log(f"{STATE.name}/told", rr.TextLog(text, level="WARN" if faults else "INFO"))
+        recording.log(f"{STATE.name}/text", rr.TextLog(text, level="WARN" if faults else "INFO"))
 
 
 def _log_scene(recording: rr.RecordingStream, t_ns: int, scene: Scene) -> None:

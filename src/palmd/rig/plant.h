@@ -44,35 +44,35 @@ static inline Support support_at(const double (*table)[4], double theta) {
 
 typedef struct {
   double value, rate, acceleration;
-} Eased;
+} SmoothStep;
 
-static inline Eased eased(double t) {
-  if (t >= 1.0) return (Eased){1.0, 0.0, 0.0};
+static inline SmoothStep smooth_step(double t) {
+  if (t >= 1.0) return (SmoothStep){1.0, 0.0, 0.0};
   const double u = fmax(t, 0.0), left = 1.0 - u;
-  return (Eased){u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left),
+  return (SmoothStep){u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left),
                  60.0 * u * left * (1.0 - 2.0 * u)};
 }
 
-static inline Eased rocked(const Rock *rock, double t) {
-  Eased w = eased(t);
+static inline SmoothStep rocked(const Rock *rock, double t) {
+  SmoothStep w = smooth_step(t);
   for (long i = 0; i < rock->resting; i++) {
     const double begin = rock->rests[i][0], end = rock->rests[i][1];
     if (!(begin < t && t < end + 1.0)) continue;
-    const Eased out = eased(t - begin), back = eased(t - end);
+    const SmoothStep out = smooth_step(t - begin), back = smooth_step(t - end);
     const double v = back.value - out.value + 1.0, dv = back.rate - out.rate;
     const double ddv = back.acceleration - out.acceleration;
-    w = (Eased){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
+    w = (SmoothStep){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
   }
   const double k = TAU * rock->frequency, s = sin(k * t + rock->phase), c = cos(k * t + rock->phase);
   const double a = rock->amplitude;
-  return (Eased){rock->mean + a * w.value * s, a * (w.rate * s + w.value * k * c),
+  return (SmoothStep){rock->mean + a * w.value * s, a * (w.rate * s + w.value * k * c),
                  a * (w.acceleration * s + 2.0 * w.rate * k * c - w.value * k * k * s)};
 }
 
 static inline Palms palms_at(const Rocking *rocking, double t) {
   Palms palms;
   for (int i = 0; i < 2; i++) {
-    const Eased nominal = rocked(&rocking->rocks[i], t);
+    const SmoothStep nominal = rocked(&rocking->rocks[i], t);
     palms.angles[i] = nominal.value + rocking->off[i];
     palms.rates[i] = nominal.rate, palms.accelerations[i] = nominal.acceleration;
   }

@@ -30,7 +30,7 @@ def test_strips_are_the_charts_that_have_an_axis():
 
 
 def test_what_has_no_strip_is_told_as_a_number():
-    told = [each["name"] for each in page_quantities()["told"]]
+    told = [each["name"] for each in page_quantities()["numbers"]]
     assert told == ["psi_rad", "mu", "mass_kg", "com_y_m"]
 
 

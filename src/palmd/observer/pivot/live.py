@@ -29,10 +29,10 @@ from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching
 
 NAME = "pivot"
-RECENT_S = 0.06  # of readings that what is felt is the mean of
+RECENT_S = 0.06  # of readings that a touched point is the mean of
 NIS_S, NIS_LIMIT, NIS_INITIAL = 0.5, 3.0, 1.0
 LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
-OUTLINE_SD_LIMIT_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
+OUTLINE_SD_LIMIT_M = 1e-4  # 1σ of the outline at the contact, above which the orientation is not accepted
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class PivotObserver:
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._recent: deque[PadSample] = deque()
-        self._levers: deque[float] = deque()  # of each that is in `_felt`
+        self._levers: deque[float] = deque()  # of each reading in `_contacts`
         self._touching = False
         self._psi: float | None = None
         self._nis = NIS_INITIAL

@@ -5,7 +5,7 @@ const table = await (await fetch("quantities.json")).json();
 // Charts of the estimate: {title, group, names, colours, unit, factor, digits, span, low, good}
 export const STRIPS = table.strips;
 // Quantities of the estimate displayed as numbers: {name, title, compared}
-export const NUMBERS = table.told;
+export const NUMBERS = table.numbers;
 // Ages of data in palm/contact: {name, title, palm}
 export const AGES = table.ages;
 export const ESTIMATE = table.shown["palm/estimate"];
