@@ -45,7 +45,7 @@ def page_quantities() -> dict[str, Any]:
 
     as: the topic of two palms under which the page stores each system's topic. listed: quantities that are elements of
     lists. shows: a sentence on the demo of each system. stale_ms: largest age of topics. shown: presentation of the
-    quantities of all systems, by topic. strips: charts with their quantities and colours. numbers: quantities displayed as
+    quantities of all systems, by topic. strips: charts with their quantities and colours. numbers: quantities shown as
     numbers only. ages: quantities with the age of data. usual: quantities assumed before the first message. system:
     description of the palms for runs without `palm/info`.
     """

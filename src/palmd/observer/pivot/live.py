@@ -68,7 +68,7 @@ class PivotObserver:
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._recent: deque[PadSample] = deque()
-        self._levers: deque[float] = deque()  # of each reading in `_contacts`
+        self._levers: deque[float] = deque()  # of each reading in `_recent`
         self._touching = False
         self._psi: float | None = None
         self._nis = NIS_INITIAL
