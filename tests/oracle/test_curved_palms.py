@@ -270,7 +270,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
 
 def test_what_is_too_concave_for_the_body_is_refused() -> None:
     body = _body(1, (0.0, 0.0))
-    with pytest.raises(ValueError, match="too concave for the body: kappa v reaches"):
+    with pytest.raises(ValueError, match="too concave for the body: kappa v is"):
         CurvedPlant(body, Hinge("fixed"), FrictionSurface(), (1.0 / max_curvature_radius(body), 0.0))
 
 

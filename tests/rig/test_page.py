@@ -168,6 +168,6 @@ def test_it_says_so_within_a_second_when_the_daemon_is_gone(page, demo):
     assert seconds_to_tell(signal.SIGKILL) < STALE_S
     page.until(lambda: page.shows("ended"), "the end of the demo")
     assert page.text("ended-title") == "The demo has ended"
-    assert "Over" in page.text("stale-why")
+    assert "Disconnected" in page.text("stale-why")
     assert re.search(r"outline known\d+\s%", page.text("summary"))
     page.until(lambda: page.enabled() == set(), "no commands without a connection")

@@ -60,7 +60,7 @@ def test_right_wrong_and_refused_are_counted_apart() -> None:
 
 def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["things", "--offline", "--kind", "coin"]) == 1
-    assert "--kind coin is without --offline, --explored and --plan" in capsys.readouterr().err
+    assert "--kind coin is only possible without --offline" in capsys.readouterr().err
 
 
 def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> None:

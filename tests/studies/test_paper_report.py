@@ -74,7 +74,7 @@ def test_the_table_has_the_papers_errors_beside_those_measured():
 
 def test_a_method_without_an_answer_says_so():
     short = paper.run(PaperTask("", "rig", 404, 1.2))
-    assert "no answer" in STUDY.report([short]).splitlines()[-2]
+    assert "no estimate" in STUDY.report([short]).splitlines()[-2]
 
 
 def test_the_command_takes_logs_with_their_truth(tmp_path, capsys):
@@ -95,7 +95,12 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert main(["paper", str(log)]) == 1
     assert "run.jsonl" in capsys.readouterr().err
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    for text, said in ((None, "needs each log's truth"), ("{", "not JSON"), ("[]", "no truth"), ("{}", "psi_rad")):
+    for text, said in (
+        (None, "needs each log's truth"),
+        ("{", "not JSON"),
+        ("[]", "not a truth file"),
+        ("{}", "psi_rad"),
+    ):
         if text is not None:
             (tmp_path / "run.truth.json").write_text(text)
         assert main(["paper", str(log)]) == 1

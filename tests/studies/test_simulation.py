@@ -194,7 +194,7 @@ def deaf_to_stop(monkeypatch):
 
 
 def stop_fault_forgotten(monkeypatch):
-    monkeypatch.setattr(Supervisor, "fall", lambda *_: None)
+    monkeypatch.setattr(Supervisor, "stop_on_fault", lambda *_: None)
 
 
 def hold_fault_forgotten(monkeypatch):
@@ -242,7 +242,7 @@ def reset_forgotten(monkeypatch):
 
 
 def armed_again_by_itself(monkeypatch):
-    good = Supervisor.settle
+    good = Supervisor.update
 
     def bad(self, t, *, up):
         good(self, t, up=up)
@@ -250,7 +250,7 @@ def armed_again_by_itself(monkeypatch):
             self._arm.host.request_tracking()
             self._arming = supervisor._Wait(supervisor.Request("arm"), t + 1.0, ())
 
-    monkeypatch.setattr(Supervisor, "settle", bad)
+    monkeypatch.setattr(Supervisor, "update", bad)
     monkeypatch.setattr(Simulation, "_operate", lambda self, t: t > 1.0 and t < 5.0 and SimulationOperate(self, t))
 
 
@@ -258,14 +258,14 @@ SimulationOperate = Simulation._operate
 
 
 def started_by_itself(monkeypatch):
-    good = Supervisor.settle
+    good = Supervisor.update
 
     def bad(self, t, *, up):
         good(self, t, up=up)
         if t > 6.0 and self._setpoints.held:
             self._setpoints.resume()
 
-    monkeypatch.setattr(Supervisor, "settle", bad)
+    monkeypatch.setattr(Supervisor, "update", bad)
     monkeypatch.setattr(Simulation, "_operate", lambda self, t: t < 4.0 and SimulationOperate(self, t))
 
 
@@ -275,13 +275,13 @@ def never_ready_again(monkeypatch):
 
 def everything_kept(monkeypatch):
     monkeypatch.setattr(watch, "BULK_MOST", 2000)
-    good = Supervisor.settle
+    good = Supervisor.update
 
     def bad(self, t, *, up):
         good(self, t, up=up)
         self.__dict__.setdefault("_hoard", []).append([t] * 10)
 
-    monkeypatch.setattr(Supervisor, "settle", bad)
+    monkeypatch.setattr(Supervisor, "update", bad)
 
 
 def nothing_stops_it(monkeypatch):

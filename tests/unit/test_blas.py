@@ -54,7 +54,7 @@ def in_effect():
 @pytest.fixture
 def many(monkeypatch):
     """A program of somebody else's, whose linear algebra uses several threads."""
-    monkeypatch.setattr("palmd.blas._alone", False)  # these tests began as a process of palmd's own
+    monkeypatch.setattr("palmd.blas._own_process", False)  # these tests began as a process of palmd's own
     with threadpool_limits(MANY):
         assert in_effect() == {MANY}
         yield

@@ -41,7 +41,7 @@ _MIN_IN_STRETCH = 30
 
 
 @dataclass(frozen=True, slots=True)
-class PadScale:
+class PadScaleResult:
     """One pad: s = zero_mm + sign · counts/counts_per_mm, with 1σ of both, for an exact radius.
 
     noise_mm: 1σ of a reading about the line, rounding included. bend_mm: the largest mean deviation from the line over
@@ -71,7 +71,7 @@ def pad_scales(
     curvatures: Sequence[float] = FLAT,
     *,
     curved: bool = False,
-) -> tuple[PadScale, PadScale]:
+) -> tuple[PadScaleResult, PadScaleResult]:
     """Both pads; `configs` and `curvatures` (1/m) are those the daemon ran with; `curved`: fit the pads' curves too.
 
     Raises CylinderError if the readings do not suffice.
@@ -102,7 +102,7 @@ def slow_readings(number: int, found: CylinderReadings) -> tuple[FloatArray, Flo
 
 def _scale(
     number: int, found: CylinderReadings, length_mm: float | None, radius_m: float, curvatures: Sequence[float]
-) -> PadScale:
+) -> PadScaleResult:
     """With a `length_mm` a new curve over it is fitted; otherwise the configured curve has been applied."""
     opening, counts = slow_readings(number, found if length_mm is None else replace(found, counts=found.raw))
     s = contacts_m(radius_m, opening, curvatures)[number - 1] * 1e3
@@ -124,7 +124,9 @@ def _line(s: FloatArray, counts: FloatArray) -> FloatArray:
     return np.asarray(np.polynomial.Polynomial.fit(s, counts, 1)(s))
 
 
-def _result(s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: int, length_mm: float | None) -> PadScale:
+def _result(
+    s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: int, length_mm: float | None
+) -> PadScaleResult:
     """The line counts = mean + slope·(s − mean s), whose two parameters have independent errors."""
     n = len(s)
     deviations = s - s.mean()
@@ -139,7 +141,7 @@ def _result(s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: in
     zero = float(s.mean() - counts.mean() / slope)
     bend, bend_sd = _bend(s, residuals)
     scale = abs(slope)
-    return PadScale(
+    return PadScaleResult(
         sign=1 if slope > 0.0 else -1,
         zero_mm=zero,
         zero_sd_mm=math.hypot(mean_sd / scale, float(counts.mean()) * slope_sd / scale**2),

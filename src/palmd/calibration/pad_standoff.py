@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.calibration.cylinder import CylinderError, CylinderReadings, inliers, readings
-from palmd.calibration.pad_scale import PadScale, is_slow, pad_scales
+from palmd.calibration.pad_scale import PadScaleResult, is_slow, pad_scales
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
@@ -105,7 +105,7 @@ def pad_standoffs(
 
 
 def _session(
-    found: Sequence[CylinderReadings], configs: Sequence[PadConfig], nominal: Sequence[PadScale], radius_m: float
+    found: Sequence[CylinderReadings], configs: Sequence[PadConfig], nominal: Sequence[PadScaleResult], radius_m: float
 ) -> _Session:
     opening, reading, force = [], [], []
     for own, config, pad in zip(found, configs, nominal, strict=True):
@@ -195,7 +195,12 @@ def _solve(
 
 
 def _result(
-    i: int, x: FloatArray, sd: FloatArray, nominal: PadScale, residuals: Sequence[FloatArray], kept: Sequence[Bools]
+    i: int,
+    x: FloatArray,
+    sd: FloatArray,
+    nominal: PadScaleResult,
+    residuals: Sequence[FloatArray],
+    kept: Sequence[Bools],
 ) -> PadStandoff:
     own = [
         (each, selected) for number, (each, selected) in enumerate(zip(residuals, kept, strict=True)) if number % 2 == i

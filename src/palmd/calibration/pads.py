@@ -13,12 +13,12 @@ from functools import partial
 from typing import Any
 
 from palmd.calibration import cylinder_session
-from palmd.calibration.pad_scale import PadScale, pad_scales
+from palmd.calibration.pad_scale import PadScaleResult, pad_scales
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
 
 FORMAT = 1
-Scales = tuple[PadScale, PadScale]
+Scales = tuple[PadScaleResult, PadScaleResult]
 
 _MIN_BEND_MM = 0.05
 _SIGNIFICANCE = 4.0  # standard deviations
@@ -59,7 +59,7 @@ def table(found: Scales) -> str:
     )
 
 
-def _curve(pad: PadScale) -> str:
+def _curve(pad: PadScaleResult) -> str:
     return f"  curve_mm      from {min(pad.curve_mm):+.3f} to {max(pad.curve_mm):+.3f}\n" if pad.curve_mm else ""
 
 

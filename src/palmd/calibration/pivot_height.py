@@ -59,7 +59,7 @@ class PivotHeight:
 
 
 @dataclass(frozen=True, slots=True)
-class _Readings:
+class _HeightReadings:
     """For each reading (n,): the contact and the pivot's position (m) and velocity (m/s), as reported."""
 
     s: FloatArray
@@ -68,9 +68,9 @@ class _Readings:
     vx: FloatArray
     vz: FloatArray
 
-    def select(self, which: npt.NDArray[np.bool_]) -> _Readings:
+    def select(self, which: npt.NDArray[np.bool_]) -> _HeightReadings:
         """The selected readings."""
-        return _Readings(*(each[which] for each in (self.s, self.x, self.z, self.vx, self.vz)))
+        return _HeightReadings(*(each[which] for each in (self.s, self.x, self.z, self.vx, self.vz)))
 
 
 def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> PivotHeight:
@@ -111,7 +111,7 @@ def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> Piv
     )  # fmt: skip
 
 
-def _read_events(events: Iterable[Event]) -> _Readings:
+def _read_events(events: Iterable[Event]) -> _HeightReadings:
     """All readings between two reports of the arm that are close in time."""
     ordered = sorted(events, key=lambda event: event.t_sample)
     arm = np.array(
@@ -119,17 +119,17 @@ def _read_events(events: Iterable[Event]) -> _Readings:
     )
     pad = np.array([(e.t_sample, e.s) for e in ordered if isinstance(e, PadSample)])
     if len(arm) < 2 or not len(pad):
-        return _Readings(*np.zeros((5, 0)))
+        return _HeightReadings(*np.zeros((5, 0)))
     t, s = pad[(pad[:, 0] > arm[0, 0]) & (pad[:, 0] < arm[-1, 0])].T
     after = np.searchsorted(arm[:, 0], t)
     is_close = arm[after, 0] - arm[after - 1, 0] < MAX_GAP_S
     t, s = t[is_close], s[is_close]
     rates = np.gradient(arm[:, 1:], arm[:, 0], axis=0)
     x, z, vx, vz = (np.interp(t, arm[:, 0], column) for column in (*arm[:, 1:].T, *rates.T))
-    return _Readings(s, x, z, vx, vz)
+    return _HeightReadings(s, x, z, vx, vz)
 
 
-def _initial_circle(readings: _Readings, radius_m: float, count: int) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _initial_circle(readings: _HeightReadings, radius_m: float, count: int) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Initial circle by linear least squares, e² + z² = 2 e e0 + 2 z z0 + b² − e0² − z0² (Kåsa 1976); and inliers."""
     e, z = readings.s - readings.x, readings.z
     rows, squares = np.column_stack([2 * e, 2 * z, np.ones_like(e)]), e**2 + z**2
@@ -143,7 +143,7 @@ def _initial_circle(readings: _Readings, radius_m: float, count: int) -> tuple[F
     return x, kept
 
 
-def _residuals(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float) -> FloatArray:
+def _residuals(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float) -> FloatArray:
     """Distance of each reading from the circle, over its 1σ in that direction (n,)."""
     height, along, b, scale, slope, bow, lag = x
     length = rig.pad.length
@@ -161,7 +161,7 @@ def _residuals(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: floa
     return np.asarray((distance - b) / sigma)
 
 
-def _gradient(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float) -> FloatArray:
+def _gradient(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float) -> FloatArray:
     columns = [
         (_residuals(x + step, readings, rig, radius_m) - _residuals(x - step, readings, rig, radius_m))
         / (2 * step.max())
@@ -170,7 +170,7 @@ def _gradient(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float
     return np.stack(columns, axis=1)
 
 
-def _solve(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
+def _solve(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
     free = prior > 0.0  # exactly known parameters stay
     for _ in range(_ROUNDS):
         rows, residuals = _with_prior(x, readings, rig, radius_m, prior)
@@ -185,14 +185,14 @@ def _solve(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float, p
 
 
 def _with_prior(
-    x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float, prior: FloatArray
+    x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     known = np.where((prior > 0.0) & np.isfinite(prior), 1.0 / np.maximum(prior, 1e-12), 0.0)
     rows = np.vstack([_gradient(x, readings, rig, radius_m), np.diag(known)])
     return rows, np.concatenate([_residuals(x, readings, rig, radius_m), known * x])
 
 
-def _sd(x: FloatArray, readings: _Readings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
+def _sd(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
     free = prior > 0.0
     rows, _ = _with_prior(x, readings, rig, radius_m, prior)
     sd = np.zeros_like(x)

@@ -72,7 +72,7 @@ class ServosConfig(Strict):
     servo1: ServoConfig = ServoConfig(id=1)
     """The servo of palm 1."""
     servo2: ServoConfig = ServoConfig(id=2, sign=-1)
-    """The servo of palm 2, which faces servo 1."""
+    """The servo of the other palm, which faces the first servo."""
     backlash_deg: Annotated[NotNegative, Field(le=5)] = 0.25
     """Total play of the gears between servo and palm."""
     angle_noise_deg: Annotated[Positive, Field(le=1)] = 0.04

@@ -31,8 +31,8 @@ from palmd.devices.servoscripts import (
     ANSWER_S,
     WATCHDOG_S,
     Answers,
-    Request,
     ServoRefusedError,
+    ServoRequest,
     SetUpError,
     hold,
     prepare,
@@ -70,7 +70,7 @@ MAX_MISSES = 3  # consecutive cycles without an accepted goal until a fault; eac
 _LATCHED = ("refused", "restarted", "watchdog", "set-up")  # faults that readings cannot clear
 
 
-Script = Generator[Request, Answers, None]
+Script = Generator[ServoRequest, Answers, None]
 
 
 class Phase(Enum):
@@ -155,7 +155,7 @@ class ServoHost:
         self._pose: JointPose | None = None
         self._t_pose = -math.inf
         self._script: Script | None = None
-        self._request: Request | None = None
+        self._request: ServoRequest | None = None
         self._answers: dict[int, Packet] = {}
         self._t_request = self._t_sent = self._t_answer = -math.inf
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES_KEPT)
@@ -484,7 +484,7 @@ class ServoHost:
         self._answers = {}
         return request.packet
 
-    def _answered(self, request: Request, t_recv: float) -> None:
+    def _answered(self, request: ServoRequest, t_recv: float) -> None:
         self._t_request, self._t_answer = -math.inf, t_recv
         self._latencies_s.append(t_recv - self._t_sent)
         answers, self._answers = [self._answers[servo] for servo in request.servos], {}

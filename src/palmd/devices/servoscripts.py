@@ -24,7 +24,7 @@ WATCHDOG_S = WATCHDOG_UNITS * 0.020
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ServoRequest:
     """A request that each of these servos answers with `size` parameter bytes.
 
     refusals: bits of an answer's error that report that it was not executed.
@@ -55,7 +55,7 @@ class ServoRefusedError(Exception):
     """A servo does not accept a setting that it needs before it may move; the text names it."""
 
 
-def set_up(axes: Sequence[Axis], release: Collection[int] = ()) -> Generator[Request, Answers, int]:
+def set_up(axes: Sequence[Axis], release: Collection[int] = ()) -> Generator[ServoRequest, Answers, int]:
     """Find every servo, compare its settings and write those that differ; return their number. Raises SetUpError.
 
     release: ids of servos whose torque is turned off, since an `arm` that failed had turned it on.
@@ -107,7 +107,7 @@ def _check_model(axis: Axis, model: int) -> None:
         )
 
 
-def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Request, Answers, dict[int, Registers]]:
+def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[ServoRequest, Answers, dict[int, Registers]]:
     """Set all profiles and turn the watchdogs off; return the registers read back. Raises ServoRefusedError."""
     profile = axes[0].make.profile(profile_ms)
     return (
@@ -119,7 +119,7 @@ def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Request, Answers
 
 def hold(
     axes: Sequence[Axis], found: Mapping[int, Registers]
-) -> Generator[Request, Answers, tuple[dict[int, int], dict[int, Registers]]]:
+) -> Generator[ServoRequest, Answers, tuple[dict[int, int], dict[int, Registers]]]:
     """Make every servo hold its position with its watchdog on; return goals by id and the registers read back.
 
     found: registers read before. Raises ServoRefusedError.
@@ -136,29 +136,29 @@ def hold(
     return goals, awake
 
 
-def stop_watchdogs(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+def stop_watchdogs(axes: Sequence[Axis]) -> Generator[ServoRequest, Answers, None]:
     """Turn the watchdogs off. Raises ServoRefusedError."""
     if watched := _watchdog(axes, 0):
         yield from _set(axes, watched)
 
 
-def torque_off(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+def torque_off(axes: Sequence[Axis]) -> Generator[ServoRequest, Answers, None]:
     """Turn off the torque of these servos. Raises ServoRefusedError."""
     if axes:
         yield from _set(axes, [*_watchdog(axes, 0), (axes[0].make.torque, dict.fromkeys(_ids(axes), 0))])
 
 
-def restart(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+def restart(axes: Sequence[Axis]) -> Generator[ServoRequest, Answers, None]:
     """Restart these servos and wait until they answer."""
     for axis in axes:
-        yield Request(axis.make.restart(axis.id), (axis.id,), 0, axis.make.refusals)
+        yield ServoRequest(axis.make.restart(axis.id), (axis.id,), 0, axis.make.refusals)
     for axis in axes:
         yield _ping(axis, tries=round(REBOOT_S / ANSWER_S))
 
 
 def _set(
     axes: Sequence[Axis], settings: Sequence[tuple[Register, Mapping[int, int]]]
-) -> Generator[Request, Answers, dict[int, Registers]]:
+) -> Generator[ServoRequest, Answers, dict[int, Registers]]:
     """Write registers, each with a value by id, in this order; return the registers read back.
 
     Repeated if a value was not accepted, since a Sync Write may have been damaged. Raises ServoRefusedError.
@@ -167,7 +167,7 @@ def _set(
     address, size = make.status_span
     packet = b"".join(make.sync_write(*each) for each in settings) + make.sync_read(address, size, ids)
     for _ in range(TRIES):
-        answers = yield Request(packet, ids, size, make.refusals)
+        answers = yield ServoRequest(packet, ids, size, make.refusals)
         found = {answer.servo: Registers(address, answer.parameters) for answer in answers}
         wrong = [
             f"servo {axis.number} has {found[axis.id].get(register)} in register {register.address},"
@@ -191,16 +191,16 @@ def _watchdog(axes: Sequence[Axis], units: int) -> list[tuple[Register, Mapping[
     return [] if watchdog is None else [(watchdog, dict.fromkeys(_ids(axes), units))]
 
 
-def _ping(axis: Axis, tries: int) -> Request:
+def _ping(axis: Axis, tries: int) -> ServoRequest:
     """Set the status return level so that the servo answers everything, and ping it, which it answers at any level."""
     make = axis.make
     packet = make.sync_write(make.status_level, {axis.id: make.all_answered}) + make.ping(axis.id)
-    return Request(packet, (axis.id,), make.ping_bytes, make.refusals, tries)
+    return ServoRequest(packet, (axis.id,), make.ping_bytes, make.refusals, tries)
 
 
-def _read(axis: Axis, address: int, size: int) -> Request:
-    return Request(axis.make.read(axis.id, address, size), (axis.id,), size, axis.make.refusals)
+def _read(axis: Axis, address: int, size: int) -> ServoRequest:
+    return ServoRequest(axis.make.read(axis.id, address, size), (axis.id,), size, axis.make.refusals)
 
 
-def _write(axis: Axis, register: Register, value: int) -> Request:
-    return Request(axis.make.write(axis.id, register, value), (axis.id,), 0, axis.make.refusals)
+def _write(axis: Axis, register: Register, value: int) -> ServoRequest:
+    return ServoRequest(axis.make.write(axis.id, register, value), (axis.id,), 0, axis.make.refusals)

@@ -40,7 +40,7 @@ _RELATIVE_REST = 1e-9  # rad/s and rad/s²: slower relative rotation of the palm
 _SIGNS: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-class _ContactState(NamedTuple):
+class _DryContactState(NamedTuple):
     """A contact: the palm's tangent t, h and h′, and the motion of gap and slip without contact forces.
 
     gap_acceleration: γ̈, slip_rate: derivative of the slip (m/s²), both with drift correction; slip: velocity of the
@@ -64,7 +64,7 @@ class _UnitForce(NamedTuple):
     torque: float
 
 
-_BothContacts = tuple[_ContactState | None, _ContactState | None]
+_BothContacts = tuple[_DryContactState | None, _DryContactState | None]
 
 
 class DryPlant(Plant):
@@ -185,7 +185,7 @@ class DryPlant(Plant):
 
     def _contact(
         self, frame: PalmFrame, q: BodyState, tx: float, ty: float, out: float, turn: float, alpha: float, above: float
-    ) -> _ContactState:
+    ) -> _DryContactState:
         rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
         gx, gy, w = -frame.aox, -self._gravity_now() - frame.aoy, q.omega0
         damping = -self.surface.damping * w / self.body.rho**2
@@ -201,7 +201,7 @@ class DryPlant(Plant):
             tx * gx + ty * gy + turn * normal_speed + w * slope * spin + h * damping + alpha * (over - h)
             + turn * rate + _DRIFT_RATE * slip
         )  # fmt: skip
-        return _ContactState(tx, ty, h, slope, gap_acceleration, slip_rate, slip)
+        return _DryContactState(tx, ty, h, slope, gap_acceleration, slip_rate, slip)
 
     def _constrained(self, contacts: _BothContacts, w: float) -> _Rates:
         """Accelerations and normal forces from γ̈ = 0 at each contact and constant zero slip at the sticking one.
@@ -230,13 +230,13 @@ class DryPlant(Plant):
             )
         return ax, ay - self._gravity_now(), al - self.surface.damping * w / rho2, f1, f2
 
-    def _unit_force(self, at: _ContactState | None, ratio: float) -> _UnitForce:
+    def _unit_force(self, at: _DryContactState | None, ratio: float) -> _UnitForce:
         if at is None:
             return _UnitForce(0.0, 0.0, 0.0)
         return _UnitForce(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
 
     def _row(
-        self, at: _ContactState, one: _UnitForce, two: _UnitForce, sticking: _ContactState | None
+        self, at: _DryContactState, one: _UnitForce, two: _UnitForce, sticking: _DryContactState | None
     ) -> tuple[float, float, float]:
         """A row of γ̈ = A·f + b: the coefficients of both normal forces, with the sticking constraint, and b."""
         rho2 = self.body.rho**2

@@ -103,8 +103,8 @@ class Roller:
 
 def _slopes(palms: PalmMotion) -> tuple[float, float]:
     """Slope of each palm towards the hinge (rad)."""
-    phi1, opening = palms.angles
-    return phi1, math.pi - phi1 - opening
+    slope, opening = palms.angles
+    return slope, math.pi - slope - opening
 
 
 def _wedge_distance(palms: PalmMotion) -> float:

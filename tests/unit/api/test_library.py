@@ -158,7 +158,7 @@ def test_a_reconstruction_that_finds_nothing_says_so(tmp_path, simulated):
     told = palmd.reconstruct(tmp_path / "short.jsonl")
     assert not told.converged
     assert told.trajectory.rows == 0
-    with pytest.raises(palmd.PalmdError, match="no outline: there is no second"):
+    with pytest.raises(palmd.PalmdError, match="no outline: no second"):
         told.outline_xy()
 
 

@@ -38,7 +38,7 @@ def test_everything_is_told_and_written(folder, tmp_path, capsys):
     more = ["--log", log, "--outline", truth, "-o", str(report), "--figure", str(figure)]
     assert main(["report", "camera", result, track, *more]) == 0
     out = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in out] == ["clock", "frame", "orientation", "place", "outline"]
+    assert [line.split(":")[0] for line in out] == ["clock", "frame", "orientation", "position", "outline"]
     assert "(paper: 0.27 rad, 8%)" in out[2]
     assert "(paper: 1.9 mm, 2.9 mm, 54%)" in out[4]
     line = json.loads(report.read_text())

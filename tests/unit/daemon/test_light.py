@@ -49,8 +49,8 @@ of_runs = {{"pydantic", "yaml", "mcap", "zmq"}} & set(sys.modules)
 assert not of_runs, of_runs
 """
 AN_EXPLORER = """
-from test_explorer import STANDING, explorer, outlook
-assert explorer().decide(outlook(), STANDING).kind == "move"
+from test_explorer import STANDING, explorer, planning_belief
+assert explorer().decide(planning_belief(), STANDING).kind == "move"
 """
 
 

@@ -52,7 +52,7 @@ def explored():
     rig.start()
     begun, coverage, said = rig.t, TrueCoverage(), []
     for now in rig.run(SECONDS):
-        coverage.see(rig.t - begun, now.truth)
+        coverage.take(rig.t - begun, now.truth)
         said.append((now, rig.core.exploring.reason))
     return rig, coverage, said
 

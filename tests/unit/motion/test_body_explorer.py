@@ -68,7 +68,7 @@ def test_what_is_foreseen_is_what_the_observers_equations_lead_to():
     p = stand()[1]
     ends = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75], *np.tile(REST_POSE, (COLUMNS - 2, 1))])
     durations = np.array([0.3, 0.24, *np.full(COLUMNS - 2, 0.2)])
-    foreseen = BodyPredictor(p, RIG).of(bearings(COLUMNS, SPIN), ends, durations)
+    foreseen = BodyPredictor(p, RIG).predict(bearings(COLUMNS, SPIN), ends, durations)
     for k in range(2):
         move = Move(tuple(REST_POSE.tolist()), tuple(ends[k].tolist()), float(durations[k]))
         R, omega, normals = integrated(move, stand()[0].bearings[0][0], np.array(SPIN), p)
@@ -97,7 +97,7 @@ def test_what_is_foreseen_of_a_move_does_not_depend_on_the_others_beside_it():
 
 
 def test_a_body_at_rest_stays_and_its_palms_bear_its_weight():
-    foreseen = BodyPredictor(stand()[1], RIG).of(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
+    foreseen = BodyPredictor(stand()[1], RIG).predict(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
     share = GRAVITY * weight_shares(REST_POSE[None])[0]
     assert foreseen.least_force == pytest.approx(np.full(3, share.min()), rel=0.05)
     assert (foreseen.spin < 0.3).all()  # what harmonics do not hold of the body lets it settle a little
@@ -231,7 +231,7 @@ def test_the_known_body_is_to_be_held_as_safely_as_a_move_is_to_be_and_others_ha
 def test_a_rough_foresight_comes_near_the_exact_one_and_follows_what_is_learnt():
     who, p = explorer(), stand()[1].copy()
     ends, durations = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75]]), np.array([0.3, 0.24])
-    rough, exact = (each.of(bearings(2, SPIN), ends, durations) for each in (who._coarse, who._predictor))
+    rough, exact = (each.predict(bearings(2, SPIN), ends, durations) for each in (who._coarse, who._predictor))
     turned = body_explorer._chords(exact.after.R, bearings(2).R)
     assert (body_explorer._chords(rough.after.R, exact.after.R) < 0.2 * turned).all()
     assert np.isfinite(rough.normals[0, :, 0, 0]).sum() == np.isfinite(exact.normals[0, :, 0, 0]).sum()

@@ -339,7 +339,7 @@ def test_no_pad_is_pressed_harder_than_it_may_be():
         return mine.decide(known, closing, choose=False)
 
     assert judged(heavy).kind == "unsafe"
-    assert "press" in judged(heavy).reason
+    assert "force limit" in judged(heavy).reason
     assert judged(replace(heavy, mass=0.1)).kind == "safe"
     assert judged(replace(heavy, mass=math.nan)).kind == "safe", "nobody knows"
     assert judged(heavy, replace(LIMITS, pad_forces=())).kind == "safe", "anything may press on these"

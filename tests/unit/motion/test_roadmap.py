@@ -175,7 +175,7 @@ def test_between_two_orientations_it_is_told_where_a_move_leads():
 
 def test_what_lies_between_goes_on_all_around():
     angles = np.array([[0.3, 1.9, 3.4, 5.0]])
-    rises = np.diff(_refined(angles, math.tau, torn=2.0)[0], append=0.3 + math.tau)
+    rises = np.diff(_refined(angles, math.tau, largest_gap=2.0)[0], append=0.3 + math.tau)
     assert rises.reshape(4, BETWEEN) == pytest.approx(
         np.repeat([[1.6], [1.5], [1.6], [1.5832]], BETWEEN, 1) / BETWEEN, abs=1e-4
     )
@@ -192,7 +192,7 @@ def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
 
 def test_next_to_a_barrier_nothing_is_promised():
     angles = np.array([[0.0, 0.2, 2.0, math.nan]])
-    between = _refined(angles, math.tau, torn=1.0).reshape(4, BETWEEN)
+    between = _refined(angles, math.tau, largest_gap=1.0).reshape(4, BETWEEN)
     assert between[:, 0] == pytest.approx(angles[0], nan_ok=True)
     assert between[0] == pytest.approx(0.2 * np.arange(BETWEEN) / BETWEEN)
     assert np.isnan(between[1:, 1:]).all()

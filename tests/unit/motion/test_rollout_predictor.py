@@ -247,7 +247,7 @@ def test_the_compiled_predictor_is_its_twin_in_numpy(elapsed, horizon_s):
 
 def test_more_moves_than_there_is_room_for_are_refused():
     moves = Moves(START, np.zeros((1, MOST_MOVES + 1, 2)), np.ones((1, MOST_MOVES + 1)))
-    with pytest.raises(ValueError, match="of 1 to 16 moves, not 17"):
+    with pytest.raises(ValueError, match="1 to 16 moves, got 17"):
         predictor("arc").of(np.zeros(shape_map.N), moves)
 
 

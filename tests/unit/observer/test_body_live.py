@@ -750,12 +750,12 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
 def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_to_be_found_again(lived, monkeypatch):
     task, (first, *_) = lived.raced
 
-    def found(off, *, believed):
+    def found(off, *, accepted):
         omega = first.motion.omega + off
         beside = replace(first, motion=replace(first.motion, omega=omega), cost=first.cost - 80.0, confirmed=0)
         monkeypatch.setattr(propagation, "fit_blind_starts", lambda *_: [beside])
         monkeypatch.setattr(propagation, "_fitted_from", lambda *_: first)
-        return propagation.confirm_by_restarts(task, [replace(first, confirmed=0)], [None], accepted=believed)[0]
+        return propagation.confirm_by_restarts(task, [replace(first, confirmed=0)], [None], accepted=accepted)[0]
 
     assert found(0.03, accepted=True).is_confirmed
     assert found(0.03, accepted=True).cost == first.cost - 80.0

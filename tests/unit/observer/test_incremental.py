@@ -381,8 +381,8 @@ def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
     run = simulated("friction", 700, 9.0)
     session, carried_on = Session(1, 0.0), Search.resumed
 
-    def resumed(self, guesses, pressed=False, strict=True):
-        return None if strict else carried_on(self, guesses, pressed, strict)
+    def resumed(self, guesses, predict_forces=False, strict=True):
+        return None if strict else carried_on(self, guesses, predict_forces, strict)
 
     def answers(rig):
         beside = Beside(replace(run, rig=rig))
@@ -407,8 +407,8 @@ def test_what_explains_only_the_first_readings_is_never_established(monkeypatch)
     """However many readings there were: it does not predict those that it leaves out."""
     run, carried_on = simulated("friction", 700, 9.0), Search.resumed
 
-    def resumed(self, guesses, pressed=False, strict=True):
-        found = carried_on(self, guesses, pressed, strict)
+    def resumed(self, guesses, predict_forces=False, strict=True):
+        found = carried_on(self, guesses, predict_forces, strict)
         return found.until(SUFFICIENT_S - 1.0) or found if strict and found is not None else found
 
     monkeypatch.setattr(Search, "resumed", resumed)

@@ -56,6 +56,6 @@ def _fails(*_: object, **__: object) -> None:
 
 
 def test_a_factorisation_that_fails_drops_the_hypothesis_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(incremental.Initialiser, "sought", _fails)
+    monkeypatch.setattr(incremental.Initialiser, "search", _fails)
     told = _answers(simulated("nominal", 3, SECONDS).events)
     assert any(isinstance(each, Unexplained) for each in told)

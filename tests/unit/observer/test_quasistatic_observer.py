@@ -191,8 +191,8 @@ def test_constant_readings_and_parallel_palms_do_not_raise():
 def test_beginnings_that_run_away_are_left_out():
     run = balanced(2.0)
     spread = Spread(0.02, 0.019, 0.0, 0.02)
-    beginnings = MultiStart(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
-    for here, there in zip(run.felt, run.felt[1:], strict=False):
+    beginnings = MultiStart(spread, run.readings[0], 0.0, 0.02, 0.01, softening=0.0)
+    for here, there in zip(run.readings, run.readings[1:], strict=False):
         beginnings.step(here, there)
     for _ in range(BLOCKS):
         beginnings.judge()
@@ -207,8 +207,8 @@ def test_the_conflict_tells_the_mean_radius_where_the_papers_errors_do_not():
     run = balanced(8.0)
     true = (run.contacts.r1[0] + run.contacts.r2[0]) / 2
     spread = Spread(true + 8e-4, 4e-3, 0.0, 1e-9)
-    beginnings = MultiStart(spread, run.felt[0], 0.0, 0.02, 0.01, softening=0.0)
-    for here, there in zip(run.felt, run.felt[1:], strict=False):
+    beginnings = MultiStart(spread, run.readings[0], 0.0, 0.02, 0.01, softening=0.0)
+    for here, there in zip(run.readings, run.readings[1:], strict=False):
         beginnings.step(here, there)
     for _ in range(BLOCKS):
         beginnings.judge()

@@ -400,9 +400,9 @@ def spinning(belief, about, more):
 @pytest.mark.parametrize(
     "misled",
     [
-        "_guess",
+        "_contact_guess",
         pytest.param(
-            "_kept",
+            "_constant_spin_guess",
             marks=pytest.mark.xfail(
                 strict=False,
                 reason="a window of this record begun by the guess alone costs 1.06 per number read, not 0.87",

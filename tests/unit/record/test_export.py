@@ -325,7 +325,7 @@ def test_rerun_gets_scene_and_states(rerun, tmp_path):
     strips = [(t, what[1][0]) for t, entity, what in rerun.logged if entity == "scene/outline"]
     assert len(strips) >= 3
     assert all(strip.shape == (361, 3) and not strip[:, 2].any() for _, strip in strips)
-    told = [what[1] for _, entity, what in rerun.logged if entity == "palm/state/told"]
+    told = [what[1] for _, entity, what in rerun.logged if entity == "palm/state/text"]
     states = [fields["state"] for fields in of("palm/state")]
     assert [text.split(":")[0] for text in told][-1] == states[-1]
     assert len(told) < len(states)
@@ -337,7 +337,7 @@ def test_without_rerun_it_is_said(tmp_path, capsys, monkeypatch):
     assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.rrd")]) == 1
     assert (
         capsys.readouterr().err
-        == f"the form rrd needs rerun-sdk, which is not installed: {install_line('rerun-sdk', 'rerun')}\n"
+        == f"the format rrd needs rerun-sdk, which is not installed: {install_line('rerun-sdk', 'rerun')}\n"
     )
     assert list(tmp_path.iterdir()) == []
 

@@ -34,7 +34,7 @@ def test_a_schema_says_what_a_field_is():
     assert schema["properties"]["sd"] == {
         "type": "object",
         "additionalProperties": {"type": "number"},
-        "description": "one-sigma of each field that it names, in that field's unit",
+        "description": "standard deviation of each field that it names, in that field's unit",
     }
     assert json_schema(LOOP.name)["patternProperties"]["^pad1_"]["type"] == "number"
     assert "r1_m" in schema["required"]

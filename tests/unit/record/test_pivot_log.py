@@ -82,7 +82,7 @@ def test_the_library_says_the_same(run):
     assert (told.system, told.converged) == ("pivot", True)
     assert told.told["hP_m"] == result["hP_m"]
     assert told.trajectory["psi_rad"].tolist() == result["trajectory"]["psi_rad"]
-    with pytest.raises(palmd.PalmdError, match="no outline: of the system pivot told has"):
+    with pytest.raises(palmd.PalmdError, match="no outline: the results of the system pivot"):
         told.outline_xy()
 
 

@@ -168,7 +168,7 @@ def test_the_command_lists_searches_groups_and_compares(folder: Path, capsys) ->
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        (["--compare", "2026"], "2026: 3 runs begin so; write more of the name"),
+        (["--compare", "2026"], "2026: 3 runs have names that begin so"),
         (["--note", "2027", "x"], "2027: there is no such run in "),
     ],
 )

@@ -35,7 +35,7 @@ LEAST_S = 2.5  # of a record
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 MOST_SD_M = 7e-5  # largest RMS 1σ of the touched surface
 PROVEN_COST, PROVEN_SD_M = 2.0, 1e-4
-"""Limits of cost and χ² per number read, and of the touched surface's 1σ, for a live hypothesis that is proven: it was
+"""Limits of cost and χ² per number read, and of 1σ of the touched surface, for a live hypothesis that is proven: it was
 confirmed, and has predicted the readings for long since."""
 UNCONFIRMED = "the motion is not yet confirmed by an independent restart"
 
