@@ -12,7 +12,7 @@ from simulated import simulated
 
 from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
-from palmd.model import building, compiled, shape_map
+from palmd.model import building, compiled, extended, shape_map
 from palmd.model import shape as modelled
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.coverage import NORMAL_BINS
@@ -551,14 +551,15 @@ def test_the_same_events_give_the_same_bits(nominal: tuple) -> None:
 
 
 def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what is generated; an observer with handwritten C needs a compiler."""
     rig, events, _ = nominal
-    fast = observer.make("shape", rig)
+    fast = observer.make("extended", rig)
     _replay(fast, events[:150])
 
     monkeypatch.setattr(compiled, "_opened", lambda _: None)
     monkeypatch.setattr(building, "build", lambda *_: False)
-    monkeypatch.setattr(shape_map, "library", shape_map.library.__wrapped__)  # made anew
-    slow = observer.make("shape", rig)
+    monkeypatch.setattr(extended, "library", extended.library.__wrapped__)  # made anew
+    slow = observer.make("extended", rig)
     assert (fast.backend, slow.backend) == ("c", "vm")
     _replay(slow, events[:150])
     a, b = fast.estimate(events[149].t_sample), slow.estimate(events[149].t_sample)
