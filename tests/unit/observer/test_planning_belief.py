@@ -76,7 +76,7 @@ class Silent:
     def submit(self, t, session, events):
         pass
 
-    def collect(self, t):
+    def collect(self, _t):
         return None
 
 
