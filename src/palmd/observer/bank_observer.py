@@ -32,7 +32,6 @@ from palmd.observer.filters.base import LONGEST_STEP_S, Filters
 from palmd.observer.fusion import Fusion
 from palmd.observer.history import EVENTS
 from palmd.observer.hypotheses import Hypotheses
-from palmd.observer.noise import shared_error_factor
 from palmd.observer.observability import Observability
 from palmd.observer.returning_object import ReturningObject
 from palmd.observer.session import ObjectSession
@@ -114,7 +113,6 @@ class BankObserver:
         self._dry = not rig.vibration.vibrates
         self._exact = declared_exact(rig)
         self._curved = rig.curved
-        self._shared_error_factor = shared_error_factor(rig)
         self.reset()
 
     def reset(self) -> None:
@@ -316,8 +314,6 @@ class BankObserver:
         inflation = self._inflation(track, t)
         marks, count = track.coverage.marks, self._session.object_count
         rig = None if self._link is None else self._link.rig_errors
-        if rig is not None and fusion.filters.spread is None:
-            inflation *= self._shared_error_factor  # not confirmed: the filter takes readings as independent
         mass = track.likely_mass
         return planning_belief(t, fusion.filters, fusion.rivals(), marks, inflation, self._random, count, rig, mass)
 

@@ -37,9 +37,6 @@ CHANCE = 1e-6
 MAP_READINGS = 10.0
 """Readings that share a smooth position error, for a search without a map of it (study 2026-11-29, seeds 9001 to 9003
 and 9200 to 9211: with 1, a log of 70 µm was not explained; with 40, one did not settle)."""
-SHARED_READINGS = 150.0
-"""Readings that share a smooth position error, where there is no map of it (study of linearised posteriors and of fits,
-10 s at 100 readings/s: covariances are honest with errors of 0.07 and 0.14 mm RMS)."""
 _NORMAL_MEDIAN = 0.455  # median of x² for a standard normal x
 
 
@@ -81,15 +78,6 @@ def map_as_noise(rig: RigDescription, readings: float = 1.0) -> RigDescription:
     estimates from many readings are overconfident.
     """
     return replace(rig, pads=tuple(_noisier(pad, readings * pad.map_sd**2) for pad in rig.pads))
-
-
-def shared_error_factor(rig: RigDescription) -> float:
-    """Ratio of a standard deviation that includes shared errors to one that takes readings as independent (1 or more).
-
-    √(1 + (n − 1) a²/σ²) of the worst pad: n readings (`SHARED_READINGS`) share the error a (`map_noise`), which is part
-    of each reading's variance σ².
-    """
-    return max(math.sqrt(1.0 + (SHARED_READINGS - 1.0) * pad.map_noise**2 / pad.reading_variance) for pad in rig.pads)
 
 
 def without_map(rig: RigDescription) -> RigDescription:
