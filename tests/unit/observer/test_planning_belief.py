@@ -9,13 +9,12 @@ from palmd.model import shape_map
 from palmd.model.shape import basis
 from palmd.model.smoothing import RIG_CONSTANTS
 from palmd.observer.filters.base import Overconfidence
-from palmd.observer.noise import map_as_noise, shared_error_factor
 
 
-def fed(seconds=4.5, overconfidence=None, smoothing=None, map_sd=0.0):
+def fed(seconds=4.5, overconfidence=None):
     """A shape observer after so many seconds of the same run, and the time; its filters may be made less confident."""
     run = simulated("nominal", 2, 5.0)
-    mine = observer.make("shape", run.rig.with_pads(map_sd=map_sd), smoothing=smoothing)
+    mine = observer.make("shape", run.rig)
     if overconfidence is not None:
         mine._fusion.filters.overconfidence = overconfidence
     t = run.events[0].t_sample
@@ -68,31 +67,6 @@ def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
     keeps_sign = [i for i in range(shape_map.N) if i not in (shape_map.Z.MU, shape_map.Z.DAMPING)]
     np.testing.assert_allclose(farther[:, keeps_sign], 3.0 * away[:, keeps_sign], rtol=1e-6)
     np.testing.assert_allclose(other.h_sd, 3.0 * one.h_sd)
-
-
-class Silent:
-    """A smoother that never answers."""
-
-    def submit(self, t, session, events):
-        pass
-
-    def collect(self, _t):
-        return None
-
-
-def test_until_it_is_confirmed_an_object_is_sampled_with_the_errors_that_many_readings_share():
-    """A filter takes readings as independent; moves chosen by such samples lost contacts."""
-    map_sd = 7e-5
-    (unconfirmed, t), (alone, _) = fed(smoothing=Silent(), map_sd=map_sd), fed(map_sd=map_sd)
-    one, other = unconfirmed.planning_belief(t), alone.planning_belief(t)
-    assert (one.confirmed, other.confirmed) == (False, True)
-    factor = shared_error_factor(map_as_noise(simulated("nominal", 2, 5.0).rig.with_pads(map_sd=map_sd)))
-    assert factor > 3.0
-    np.testing.assert_allclose(one.h_sd, factor * other.h_sd)
-    np.testing.assert_allclose(
-        (one.states[-1] - one.states[0])[shape_map.Z.SHAPE :],
-        factor * (other.states[-1] - other.states[0])[shape_map.Z.SHAPE :],
-    )
 
 
 def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
