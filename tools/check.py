@@ -15,6 +15,10 @@ ROOT = Path(__file__).parent.parent
 BIN = str(Path(sys.executable).parent)
 
 
+FAST = "not rig and not bench and not vm and not nightly"
+"""Markers of the tests that the inner loop runs."""
+
+
 def changed() -> list[Path]:
     """Files that differ from main or are new, relative to the root."""
     base = _git("merge-base", "HEAD", "main") or "HEAD"
@@ -56,9 +60,7 @@ def main() -> int:
     ]
     targets = test_targets(changed())
     if targets:
-        steps.append(
-            ("unit tests", [sys.executable, "-m", "pytest", "-q", "-n", "2", "-m", "not rig and not bench", *targets])
-        )
+        steps.append(("unit tests", [sys.executable, "-m", "pytest", "-q", "-n", "2", "-m", FAST, *targets]))
     steps.append(("corpus", [sys.executable, "tests/corpus/corpus.py", "check", "--sample"]))
     for name, command in steps:
         started = time.monotonic()

@@ -32,22 +32,27 @@ CAMPAIGNS: dict[str, str] = {
     "soak": "soak --seed {seed} -o {folder}/soak",
 }
 """Arguments of `python -m tools.studies`, by the campaign's name."""
+TESTS = "tests"  # the campaign of all tests marked `nightly`
 
 
 def main(folder: Path, names: list[str]) -> int:
     """Run the named campaigns, or all, one after the other."""
-    unknown = [name for name in names if name not in CAMPAIGNS]
+    every = (TESTS, *CAMPAIGNS)
+    unknown = [name for name in names if name not in every]
     if unknown:
-        print(f"no campaign {', '.join(unknown)}; choose from {', '.join(CAMPAIGNS)}", file=sys.stderr)
+        print(f"no campaign {', '.join(unknown)}; choose from {', '.join(every)}", file=sys.stderr)
         return 2
     folder.mkdir(parents=True, exist_ok=True)
     seed = 1000 * datetime.datetime.now(datetime.UTC).date().toordinal()
     failed = []
-    for name in names or CAMPAIGNS:
-        arguments = CAMPAIGNS[name].format(seed=seed, folder=folder).split()
+    for name in names or every:
+        if name == TESTS:
+            arguments = ["pytest", "-q", "-m", "nightly", "tests"]
+        else:
+            arguments = ["tools.studies", *CAMPAIGNS[name].format(seed=seed, folder=folder).split()]
         t_start = time.monotonic()
         with (folder / f"{name}.txt").open("w", encoding="utf-8") as out:
-            command = [sys.executable, "-m", "tools.studies", *arguments]
+            command = [sys.executable, "-m", *arguments]
             status = subprocess.run(command, cwd=ROOT, stdout=out, stderr=out, check=False).returncode
         print(
             f"{name}: {'good' if status == 0 else f'status {status}'}, {time.monotonic() - t_start:.0f} s", flush=True

@@ -66,6 +66,7 @@ def _believed(p: np.ndarray, prior: Prior) -> np.ndarray:
     return about / np.append(prior.sd, prior.omega0_sd)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 3), ("rig", 1)])
 def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
     log, truth = _simulated(kind, seed, tmp_path)

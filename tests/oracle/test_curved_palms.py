@@ -98,6 +98,7 @@ def _state(body: Body, surface: FrictionSurface, psi: float, omega0: float, orde
     return x
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("curvatures", CURVATURES)
 def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(
     curvatures: tuple[float, float], vibration: Vibration
@@ -221,6 +222,7 @@ def test_rows_of_orientations_are_gradients_of_readings() -> None:
         assert after[palm] - s[palm] == pytest.approx(rows[palm] @ change, abs=1e-13)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("curvatures", "sagittas", "standoffs"),
     [

@@ -149,6 +149,7 @@ def test_sudden_braking_is_followed_to_high_order() -> None:
     assert short < long / 12
 
 
+@pytest.mark.nightly
 def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_order() -> None:
     """Strong friction on the slowest vibration: slips of 0.3 V alternate by another 0.7 V.
 

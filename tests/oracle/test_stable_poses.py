@@ -235,6 +235,7 @@ def test_points_are_allowed_stable_poses(surfaces):
         assert (surface.phi1 + surface.phi2).max() < LIMITS.phi12_max
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", [2, 5, 8])
 def test_links_driven_in_small_steps_join_the_same_parts(surfaces, number):
     """A link is judged by its two ends; nearly all are right, and no wrong one joins what is apart."""

@@ -99,6 +99,7 @@ def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
     assert found["rms_mm"] < 0.05
 
 
+@pytest.mark.nightly
 def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
     stack.start_rig("--roller", "ball", "--seed", "4")
     stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.rig_info)

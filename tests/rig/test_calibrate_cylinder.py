@@ -68,6 +68,7 @@ class Stand(Stack):
         return yaml.safe_load((self.path.parent / "calibration/pads.yaml").read_text())
 
 
+@pytest.mark.nightly
 def test_pads_that_are_not_as_configured_are_found(tmp_path):
     with Stand(tmp_path) as stand:
         found = stand.calibrated()["configuration"]

@@ -29,6 +29,7 @@ def palmd(*arguments):
     )
 
 
+@pytest.mark.nightly
 def test_from_the_check_to_the_bundle_and_the_comparison(tmp_path):
     plan, bundle = tmp_path / "short.yaml", tmp_path / "bundle"
     plan.write_text(yaml.safe_dump(PLAN))

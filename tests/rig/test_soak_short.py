@@ -18,6 +18,7 @@ def soaked(folder):
     return done.returncode, [row for row in rows if row["row"] == "doing"], findings
 
 
+@pytest.mark.nightly
 def test_half_a_minute(tmp_path):
     status, done, findings = soaked(tmp_path / "soak")
     assert [name for name, row in findings.items() if row["met"] is False] == []

@@ -146,6 +146,7 @@ def explored():
     return run, list(run.run(20.0))
 
 
+@pytest.mark.nightly
 def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told(explored):
     run, instants = explored
     valid = next(instant.t for instant in instants if instant.messages["palm/estimate"]["valid"])
@@ -166,6 +167,7 @@ def test_an_exploration_is_the_same_to_the_last_bit_for_the_same_seed(explored):
     assert bits(again) == bits(explored[1][: len(again)])
 
 
+@pytest.mark.nightly
 def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
     run = exploring()
     for instant in run.run(8.0):
@@ -223,6 +225,7 @@ def test_what_never_settled_has_no_numbers():
     assert all(math.isnan(x) for x in (found.valid, found.wrong, found.r_rms, found.e_h, found.rho_error))
 
 
+@pytest.mark.nightly
 def test_what_is_felt_to_have_a_corner_is_tipped():
     config = default_config()
     body = real_object("nut", np.random.default_rng(1)).body

@@ -23,6 +23,7 @@ from tools.studies.exploring_watch import ExplorationWatch
 # ---------------------------------------------------------------------------------------------- real runs
 
 
+@pytest.mark.nightly
 def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     """Eight seconds of each on the same object, the smoother beside the first."""
     explored, random = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)

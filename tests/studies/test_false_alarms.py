@@ -5,6 +5,7 @@ import pytest
 from tools.studies.false_alarms import RIGS, STUDY, OperationTask, run
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("rig", ["arm", "servos", "pivot"])
 def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(rig):
     life = run(OperationTask(rig, 9000, 25.0, light=True))

@@ -200,6 +200,7 @@ def test_rows_are_on_disk_as_soon_as_they_are_finished(threads, tmp_path, monkey
     assert counts == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.kill)])
 def test_a_signal_ends_real_processes(number, send, tmp_path):
     """A terminal's Ctrl-C reaches all of them, a termination the first only."""

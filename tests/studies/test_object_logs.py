@@ -22,6 +22,7 @@ from tools.studies.exploring_plans import plan
 from tools.studies.object_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw, simulated
 
 
+@pytest.mark.nightly
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
     (log, truth, _), (again, *_), (other, *_) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
     assert log.events == again.events
@@ -95,6 +96,7 @@ def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(
     assert f"{wide}:3" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_what_tips_shows_one_side_after_the_other() -> None:
     """A nut, carried over on one palm and back on the other, shows more than half of its outline in 13 s."""
     moved = simulated(SharpTask("nut", 1, 13.0, plan=load_plan(shipped("plans/tip.yaml"))))

@@ -115,6 +115,7 @@ def test_ticks_of_the_live_observer_are_counted_where_it_was_asked(monkeypatch):
     assert "live: 1" not in "\n".join(remarks([replace(row, ticks=0, valid=0)]))
 
 
+@pytest.mark.nightly
 def test_a_real_run_is_off_by_what_it_says():
     row = off.run(MiscalibrationTask("φ2 1°", "exact", "friction", 3, 8.0))
     assert row.error == ""

@@ -72,11 +72,13 @@ def test_the_table_has_the_papers_errors_beside_those_measured():
     assert ["does not turn" in lines[-3], "quasistatic" in lines[-2], "reconstruct" in lines[-1]] == [True] * 3
 
 
+@pytest.mark.nightly
 def test_a_method_without_an_answer_says_so():
     short = paper.run(PaperTask("", "rig", 404, 1.2))
     assert "no estimate" in STUDY.report([short]).splitlines()[-2]
 
 
+@pytest.mark.nightly
 def test_the_command_takes_logs_with_their_truth(tmp_path, capsys):
     lines, truth = simulate_log("friction", 405, 4.0)
     log = tmp_path / "run.jsonl"

@@ -247,6 +247,7 @@ def test_a_line_tells_the_whole_row():
         assert as_line(row_from(line)) == as_line(row)
 
 
+@pytest.mark.nightly
 def test_a_small_study_of_real_runs():
     """Too few for ranks of one quantity; but a wrong sign, unit or order, or bands a third too narrow, are far off."""
     rows = [sbc.run(SbcTask(kind, seed, 4.0)) for kind in ("friction", "rig") for seed in (5, 6, 7)]

@@ -65,6 +65,7 @@ def untroubled():
     return simulate(scenario())
 
 
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_bits_and_another_one_does_not(untroubled):
     first, again = (simulate(dataclasses.replace(drawn(3), trouble_s=4.0)) for _ in range(2))
     assert first.digest == again.digest
@@ -78,6 +79,7 @@ def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning(untroubled
     assert untroubled.sometimes["ready -> tracking"] == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", FOUND)
 def test_what_was_found_once_stays_mended(seed):
     assert simulate(drawn(seed)).breach is None
@@ -122,6 +124,7 @@ def test_palms_that_have_stopped_are_told_to_stand_as_soon_as_two_reports_agree(
     assert not any(after.accelerations)
 
 
+@pytest.mark.nightly
 def test_a_stop_in_mid_motion_leaves_the_estimate_right():
     simulation = Simulation(scenario(told(4.0, "stop"), seed=STOPPED, thorough=True))
     with quiet():
@@ -132,6 +135,7 @@ def test_a_stop_in_mid_motion_leaves_the_estimate_right():
     assert simulation.core.estimate.object_count == 1
 
 
+@pytest.mark.nightly
 def test_seeds_that_nobody_has_tried_hold():
     """For a while, in every run of the tests; a failure is repeated by the command that is told."""
     begun = time.process_time()
@@ -143,6 +147,7 @@ def test_seeds_that_nobody_has_tried_hold():
             break
 
 
+@pytest.mark.nightly
 def test_a_flood_of_commands_costs_no_tick_and_no_set_point(monkeypatch):
     """20,000 commands a second from four clients for two seconds: by the ticks' and the set-points' own count."""
     flood = tuple(told(4.0 + number * 50e-6, "status", number % 4) for number in range(40_000))
@@ -403,6 +408,7 @@ def test_seeds_may_be_shared_out_among_processes(monkeypatch):
         list(study._outcomes(range(7, 8), arguments))
 
 
+@pytest.mark.nightly
 def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     deaf_to_stop(monkeypatch)
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))

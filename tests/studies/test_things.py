@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from tools.studies import things
 from tools.studies.things import LIVE, LOGGED, LUMP, ObjectRow, ObjectTask, body_of, remarks
@@ -22,6 +23,7 @@ def test_each_kind_and_seed_is_one_body_and_every_third_has_its_mass_off_centre(
     assert weighted > 1.9e-3
 
 
+@pytest.mark.nightly
 def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
     assert LOGGED == ("corners of 3 mm", "corners of 1 mm", "dent of 4 mm", "dent of 10 mm", "dry lump")
     row = things.run(ObjectTask("dent of 4 mm", 0, 1.5))

@@ -51,6 +51,7 @@ def test_the_engine_turns_the_body_as_the_emulated_rig_does(engine, kind, seed):
     assert np.ptp(np.degrees(here)) > 0.5
 
 
+@pytest.mark.nightly
 def test_a_body_of_arcs_turns_as_a_smooth_one():
     """Without friction engine and plant have the same equations, and only the outline's steps of curvature differ."""
     pytest.importorskip("pymunk")
@@ -61,6 +62,7 @@ def test_a_body_of_arcs_turns_as_a_smooth_one():
     assert math.sqrt(np.mean(error**2)) < 5e-3
 
 
+@pytest.mark.nightly
 def test_without_friction_a_log_of_an_engine_is_reconstructed_blind_and_right():
     pytest.importorskip("pymunk")
     row = study.run(study.EngineTask("chipmunk", "slick", "none", 0, 5.0))

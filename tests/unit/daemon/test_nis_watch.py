@@ -61,6 +61,7 @@ def test_its_row_says_what_to_do():
     assert len(fault.hint) <= 100
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("seed", "off", "alarm"),
     [

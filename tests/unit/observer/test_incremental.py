@@ -193,6 +193,7 @@ def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_fo
     assert error < 2.5 * sd
 
 
+@pytest.mark.nightly
 def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() -> None:
     absences = ((9.0, 10.0), (18.0, 19.0), (27.0, 28.0))
     run = simulated("rig", 710, 36.0, absences=absences)
@@ -316,6 +317,7 @@ def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> Non
     assert np.allclose(of_rig @ of_rig.T, covariance[RIG, RIG])
 
 
+@pytest.mark.nightly
 def test_a_known_object_is_reidentified_sooner_than_a_blind_search_confirms_a_new_one() -> None:
     run = simulated("rig", 710, 36.0, absences=((9.0, 10.0), (18.0, 19.0), (27.0, 28.0)))
     beside = Beside(run)

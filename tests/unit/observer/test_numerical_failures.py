@@ -42,6 +42,7 @@ def _answers(events: tuple[Event, ...]) -> list[Improvement | Unexplained | None
     return told
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("how", CORRUPT)
 def test_corrupt_readings_are_rejected_with_a_reason(how: str) -> None:
     events = _pads(CORRUPT[how])

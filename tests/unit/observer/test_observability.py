@@ -49,6 +49,7 @@ def test_nothing_told_is_zero_and_nonsense_is_nan() -> None:
     assert math.isnan(scaled_singular_value(np.zeros((3, 3)), np.full((2, 3), math.nan), np.ones(3)))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("observer_name", "seed", "kind"), [("shape", 3, "rig"), ("extended", 3, "nominal")])
 def test_it_falls_at_rest_and_recovers_with_motion(observer_name, seed, kind) -> None:
     segments = [{"sine": SINE, "frequency_hz": [0.41, 0.57], "duration_s": d} for d in (5.0, 20.0)]

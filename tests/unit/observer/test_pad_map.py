@@ -71,6 +71,7 @@ def test_an_error_that_repeats_with_the_place_is_in_the_band(coloured: tuple[Eve
     assert sigmas(aware, truth) < 2.0
 
 
+@pytest.mark.nightly
 def test_a_map_that_pads_do_not_have_costs_little(tmp_path: Path) -> None:
     lines, told = simulate_log("nominal", 9001, 10.0, calibration_sd=AS_CALIBRATED)
     log, truth = read(tmp_path / "run.jsonl", lines), truth_of(told)

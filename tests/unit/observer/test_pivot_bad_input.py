@@ -75,6 +75,7 @@ def test_from_a_whole_log_too_no_pivot_lies_outside_its_body(good):
     assert answer.reason == "the pivot would lie outside the body: z contradicts the readings"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("spoilt", "said"), CASES, ids=NAMES)
 def test_live_it_is_said_and_no_shape_is_claimed(good, spoilt, said):
     rig, events = good

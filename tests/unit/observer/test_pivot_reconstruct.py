@@ -55,6 +55,7 @@ def error_of(answer, truth):
 # ------------------------------------------------------------------------------------------------- what is forgiven
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "off", [PivotImperfections(outliers=0.1), PivotImperfections(gaps=4), PivotImperfections(noise=2.0)], ids=repr
 )
@@ -101,6 +102,7 @@ def test_a_constant_height_tells_nothing(tilt):
     assert "the pivot's height hardly changes (0.00 mm)" in refused(flat, rig)
 
 
+@pytest.mark.nightly
 def test_heights_that_contradict_the_readings(tilt, slide):
     rig, events, _ = tilt
     mirrored = arms(events, lambda arm: replace(arm, z=0.045 - arm.z, vz=-arm.vz, az=-arm.az))
@@ -117,6 +119,7 @@ def test_without_force_the_sides_do_not_belong_together(tilt):
     assert refused(pads(events, lambda pad: replace(pad, force=None)), rig).startswith("the pad gives no force")
 
 
+@pytest.mark.nightly
 def test_two_objects_are_not_one(tilt):
     rig, events, _ = tilt
     other = events_of(simulate_pivot_log("tilt", SEED + 1)[0])[1]

@@ -175,6 +175,7 @@ def test_an_object_put_down_seconds_after_the_arm_began_to_report():
     assert e_h(answer, run) < RIGHT_M
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [3, 5])
 def test_an_object_that_another_takes_the_place_of_within_a_moment(seed):
     """Each is felt for some seconds: they are not one object, whichever of them is told of."""

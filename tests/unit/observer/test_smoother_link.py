@@ -140,6 +140,7 @@ def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run)
     assert rms < 1.05 * math.sqrt(np.mean(alone**2))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [3, 5])
 def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_it(seed: int) -> None:
     at, gap, end = 9.0, 0.2, 14.0
