@@ -59,8 +59,9 @@ def exists(path: Path) -> bool:
 
 
 UNITS = {
-    "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
-    "_deg": "°", "_mm": "mm", "_mm_per_n": "mm/N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
+    "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_mm_per_n": "mm/N",
+    "_m_s2": "m/s²", "_deg_s2": "°/s²", "_m_s": "m/s", "_deg_s": "°/s",
+    "_deg": "°", "_mm": "mm", "_n": "N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
 }  # fmt: skip
 """Units by the ending of a key."""
 
