@@ -54,7 +54,11 @@ def take(folder: Path) -> None:
                 demo.send_signal(signal.SIGINT)
                 demo.wait(START_S)
             _picture(driver, 1440, SIZES[1440], "light", folder / "page-ended.png")
-        run = read_run(Path(_found(output, r"recorded in (\S+)")))
+        _report_figures(Path(_found(output, r"recorded in (\S+)")), folder)  # the run is read as it is needed
+
+
+def _report_figures(path: Path, folder: Path) -> None:
+    run = read_run(path)
     series = series_of(run, run.survey(), lambda _: None)
     for section in report_of(series).sections:
         for file, title in SECTIONS.items():
