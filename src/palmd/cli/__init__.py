@@ -31,9 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def status_of(requested: Callable[[], tuple[ModuleType, argparse.Namespace]]) -> int:
     """Run the module and arguments that `requested` returns; return the exit status as `main` does."""
     blas.one_thread_from_here()
-    os.environ.setdefault(
-        "PYDANTIC_DISABLE_PLUGINS", "__all__"
-    )  # finding them would read the metadata of every package
+    # finding plug-ins would read the metadata of every package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     output.make_tolerant()
     _take_any_terminal()
     try:

@@ -165,21 +165,12 @@ def serve(address: str, rig: str) -> None:
             return None
         if isinstance(result, Unexplained):
             return [result.t]
-        arrays = (
-            each.tobytes()
-            for each in (
-                result.touched,
-                result.x,
-                result.P,
-                result.rig,
-                result.rig_sd,
-                result.spread,
-                result.contradicted,
-            )
-        )
-        return [result.t, result.frame, result.established, *arrays]
+        return [result.t, result.frame, result.established, *(each.tobytes() for each in _arrays_of(result))]
 
     work(address, add, answer, lambda: period(smoother.elapsed_s))
+
+
+_arrays_of = attrgetter("touched", "x", "P", "rig", "rig_sd", "spread", "contradicted")
 
 
 def _unpacked_answer(t: float, *fields: Any) -> Improvement | Unexplained:

@@ -228,10 +228,8 @@ class TouchTracker:
         self._t_first = 0.0
         self._t_recv = 0.0
         self._t_byte = -math.inf
-        self._pauses = (
-            math.inf,
-            0.0,
-        )  # longest pause (s) in the last full block of PAUSE_REPORTS, and in the current one
+        # longest pause (s) in the last full block of PAUSE_REPORTS, and in the current one
+        self._pauses = (math.inf, 0.0)
         self._reports = 0
         self.touching = False
 

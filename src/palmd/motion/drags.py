@@ -39,10 +39,8 @@ STEP_M, STEP_SHARE = 8e-4, 0.09  # largest step of height, and as a share of e
 DOWN_M_S = 0.004
 # Smallest e for setting down; and as a share of the pivot's height, outside the friction cone of μ = 0.2.
 TILTED_M, TILTED_SHARE = 2.5e-3, 0.2
-LEAST_LEVER_M, LEVER_SHARE = (
-    2e-3,
-    0.4,
-)  # e at which it turns back: the larger of this and a share of this side's largest
+# e at which it turns back: the larger of this and a share of this side's largest
+LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4
 FORCE_SHARE, LEAST_FORCE_N = 0.55, 0.09  # it turns back at this share of the limit (lifting off adds force); below this
 # Largest predicted force as a share of the limit; delay of the measured force, during which lowering continues.
 PREDICTED_SHARE, FORCE_DELAY_S, FADING = 0.75, 0.08, 0.9

@@ -47,10 +47,8 @@ from palmd.motion.segments import (
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINTS, PALMS
 
-HOME: Angles = (
-    math.radians(45.0),
-    math.radians(90.0),
-)  # a V symmetric about the vertical: assumed when no pose is known
+# a V symmetric about the vertical: assumed when no pose is known
+HOME: Angles = (math.radians(45.0), math.radians(90.0))
 HOME_RADIUS_M = 0.02
 BLEND_SHARE = 0.5  # of the acceleration limit, for the ramps of a `rate` segment
 APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's start, which need not be fast

@@ -113,13 +113,7 @@ class Initialiser:
             return None
         return segment.start + (len(self._guesses[0].x) - 1) * SPACING_S
 
-    def _step(
-        self,
-        segment: DataSegment,
-        hint: FloatArray | None,
-        now: float,
-        budget: Budget,
-    ) -> Solution | None:
+    def _step(self, segment: DataSegment, hint: FloatArray | None, now: float, budget: Budget) -> Solution | None:
         """`search` in one step to the end of `segment`; `now`: time of the last of all readings (s)."""
         seconds = segment.lasts
         self.unexplained = self.extension_failed = False
@@ -225,9 +219,8 @@ class Initialiser:
         if blind is None and budget.left <= 0.0 and finding is not None:
             return search, finding  # a search that was cut short is no evidence
         if blind is None and finding is None and hint is not None and self._exact:
-            blind = search.from_constants(
-                hint
-            )  # expensive; on an exact rig its rival is an object that turns with a palm
+            # expensive; on an exact rig its rival is an object that turns with a palm
+            blind = search.from_constants(hint)
         merged = search.merged(finding, blind)
         again = self.confirmed and agree(finding, blind)
         self._confirmations = self._count_confirmations(finding, blind, merged, seconds)

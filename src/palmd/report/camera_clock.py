@@ -14,10 +14,8 @@ LAG_STEP_S, FINE_LAG_S = 0.02, 1e-3
 MIN_OVERLAP_S = 1.0
 MIN_OVERLAP_FRACTION = 0.5  # fraction of the shorter record that must overlap
 MIN_MOTION_RAD = math.radians(2.0)
-MIN_EXPLAINED, MIN_EXPLAINED_BY_PALMS = (
-    0.5,
-    0.95,
-)  # smallest explained fraction of the scatter, with the object's and the palms' angles
+# smallest explained fraction of the scatter, with the object's and the palms' angles
+MIN_EXPLAINED, MIN_EXPLAINED_BY_PALMS = 0.5, 0.95
 DISTINCT_S, MIN_RIVAL_RATIO = 0.3, 2.0  # an offset that differs by more must have a misfit larger by this factor
 _MAX_SCANNED_ROWS = 500
 _MAX_CANDIDATES = 6

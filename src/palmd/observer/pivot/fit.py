@@ -303,7 +303,7 @@ def rig_error_modes(problem: Problem, fit: PivotFit) -> FloatArray:
 def gain_modes(record: PivotRecord, forces: FloatArray | None = None) -> FloatArray:
     """(forces, modes): relative change of each force for a 1σ amplitude of each mode of the pad's gain error.
 
-    The gain has an error of 1σ `force_gain_std`, which drifts within `DRIFT_S`, and a hysteresis of `BEHIND` behind
+    The gain has an error of 1σ `force_gain_std`, which drifts within `DRIFT_S`, and a hysteresis of `HYSTERESIS` behind
     changing forces, modelled as a play operator on `forces`, if these are given. The error is common to many readings,
     so that their number does not average it out; repeated visits to one place do.
     """

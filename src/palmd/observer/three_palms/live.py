@@ -65,9 +65,8 @@ class BodyObserver:
         self._published_shape_of: BodyAnswer | None = None
         self._predictive = False
         self._invalid_because = ""
-        self._normals: deque[tuple[float, FloatArray]] = deque(
-            maxlen=round(KEPT_S / NORMALS_EVERY_S)
-        )  # normals in the body
+        # normals in the body
+        self._normals: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / NORMALS_EVERY_S))
 
     @property
     def backend(self) -> str:

@@ -73,9 +73,8 @@ class TaxelEmulator(PadEmulator):
         measured_mm = self._measured_position_m(press.s, press.force) * 1e3
         force = self._measured_force_n(press.force)
         centre_mm = config.sign * (measured_mm - config.zero_mm) * config.counts_per_mm / taxels.UM_PER_MM
-        half_width = (
-            math.sqrt(5.0) * self._width_mm * press.force**WIDTH_EXPONENT
-        )  # of a parabola with that standard deviation
+        # of a parabola with that standard deviation
+        half_width = math.sqrt(5.0) * self._width_mm * press.force**WIDTH_EXPONENT
         edges = (np.arange(config.rows + 1) - 0.5) * config.pitch_mm
         shares = np.diff(_parabola((edges - centre_mm) / half_width))
         return np.asarray(force * shares[:, None] / config.columns * self._gains)

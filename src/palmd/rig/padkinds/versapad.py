@@ -23,11 +23,8 @@ from palmd.devices.versapad import (
 from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
 
 PACKET_S = 0.00625  # at 9600 baud; the pad does not measure faster on a faster line
-BAND_WEIGHTS = (
-    0.64,
-    0.20,
-    0.16,
-)  # with the jitter cut off below one packet time: mean 10.0 ms, standard deviation 4.7 ms
+# with the jitter cut off below one packet time: mean 10.0 ms, standard deviation 4.7 ms
+BAND_WEIGHTS = (0.64, 0.20, 0.16)
 _BANDS_UP_TO: list[float] = np.cumsum(BAND_WEIGHTS).tolist()
 BAND_JITTER_S = 0.002
 _IDENTITY = b"VPEMU1\r"
