@@ -11,7 +11,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-MOST = 51
+MOST = 50
 """How many may be left in source and documentation; may only be lowered."""
 
 PRIVATE = frozenset(
