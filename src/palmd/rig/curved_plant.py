@@ -114,9 +114,6 @@ class CurvedPlant(Plant):
         )
         self._theta = [0.0, 0.0]  # last normals at the nearest points, in the body's frame
 
-    def _compiled_step(self) -> None:
-        """There is no compiled version for arcs."""
-
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:

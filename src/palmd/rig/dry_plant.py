@@ -70,9 +70,6 @@ _BothContacts = tuple[_DryContactState | None, _DryContactState | None]
 class DryPlant(Plant):
     """As `Plant`, with friction coefficient `surface.mu` while slipping and up to `surface.static` while sticking."""
 
-    def _compiled_step(self) -> None:
-        """There is no compiled version."""
-
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
         """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         self._ratios = [0.0, 0.0]  # of friction to normal force, against t

@@ -1,8 +1,7 @@
 """Selects the plant that emulates a body on palms, by the law of friction that the palms' vibration requires.
 
 resolved    vibrating palms, resolved in time, with dry friction (`rig.vibrating_plant`)
-sign_pairs  the same averaged over the signs of slip (`rig.sign_pairs`): for bodies with flat sides, or without a C
-            compiler
+sign_pairs  the same averaged over the signs of slip (`rig.sign_pairs`): for bodies with flat sides
 coulomb     palms that do not vibrate (`rig.dry_plant`), flat ones only
 averaged    the old law, which averages the friction alone (`rig.plant`)
 """
@@ -19,9 +18,9 @@ from palmd.rig.dry_plant import DryPlant
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import AS_ASSUMED, PAD_LENGTH, FrictionLaw, FrictionSurface, Hinge, PadPair, Plant, PlantOptions
 from palmd.rig.shaker import Shaking, drawn_shaking
-from palmd.rig.shapes import Body
+from palmd.rig.shapes import Body, Support
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
-from palmd.rig.vibrating_plant import VibratingPlant, can_resolve
+from palmd.rig.vibrating_plant import VibratingPlant
 from palmd.system.arcs import FLAT
 from palmd.system.vibration import Vibration
 
@@ -91,7 +90,7 @@ def plant_on(
                 options=options, imperfections=imperfections, gravity=gravity, reach=reach,
             )  # fmt: skip
         return Plant(body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach)
-    if law == "resolved" and can_resolve(body):
+    if law == "resolved" and isinstance(body.support, Support):
         return VibratingPlant(
             body, hinge, surface, shaking, curvatures,
             options=options, imperfections=imperfections, gravity=gravity, reach=reach,

@@ -149,9 +149,6 @@ class MujocoPlant(Plant):
         self.step_forces: FloatArray = np.zeros(len(PALMS))
         """Mean normal forces (N) over the last step."""
 
-    def _compiled_step(self) -> None:
-        """There is no compiled version."""
-
     def _coordinate(self, joint: str) -> int:
         return int(self._model.joint(joint).qposadr[0])
 

@@ -22,8 +22,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from palmd.events import FloatArray, PalmMotion
-from palmd.rig.compiled_plant import CompiledStep, ContactBounds, Drive, Scene, step_of
+from palmd.events import PalmMotion
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
@@ -222,20 +221,6 @@ class Plant:
         self._on1 = self._on2 = False
         self._frame = palm_frame(self.hinge, PalmMotion.at_rest((0.8, 1.6)))
         self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
-        self._compiled = self._compiled_step()
-
-    def _compiled_step(self) -> CompiledStep | None:
-        """A compiled version of `advance`; None for bodies and palms that it does not support."""
-        hinge, surface, pads = self.hinge, self.surface, zip(self._pads, self.reach, strict=True)
-        scene: Scene = {
-            "rho2": self.body.rho**2, "mu": surface.mu, "dither": surface.dither, "damping": surface.damping,
-            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity,
-            "shake": self._table_amplitude,
-            "shaking_hz": _TABLE_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
-            "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED, "lost_distance": _FALLEN_DISTANCE,
-            "arc": hinge.mode == "arc", "bowed": self._bowed,
-        }  # fmt: skip
-        return step_of(self.body.support, [(pad.sagitta, pad.standoff, length) for pad, length in pads], scene)
 
     # -- placement and state ------------------------------------------------------------------------------
 
@@ -312,8 +297,7 @@ class Plant:
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """Advance by dt seconds; `middle` and `end` are the palms half-way and at the end."""
         remaining = dt
-        is_compiled = self._compiled is not None  # the compiled step supports smooth bodies only
-        while not (is_compiled or self.fallen) and (step := self._longest_step()) < remaining:
+        while not self.fallen and (step := self._longest_step()) < remaining:
             remaining -= step
             self._step(_extrapolated_back(end, remaining + 0.5 * step), _extrapolated_back(end, remaining), step)
         self._step(middle if remaining == dt else _extrapolated_back(end, 0.5 * remaining), end, remaining)
@@ -331,9 +315,6 @@ class Plant:
             self._frame = palm_frame(self.hinge, end, self._planes)
             return
         self._t += dt
-        if self._compiled is not None:
-            self._advance_compiled(self._compiled, middle, end, dt)
-            return
         self._update_tangent_planes()
         self._integrate(middle, end, dt)
         self._settle_contacts()
@@ -358,33 +339,6 @@ class Plant:
         q.vy = vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
         q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
         self._frame = last
-
-    def _advance_compiled(self, step: CompiledStep, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        q = self.state
-        after = step(
-            *self._packed_state(), self._t, *middle.angles, *middle.rates, *middle.accelerations,
-            *end.angles, *end.rates, *end.accelerations, dt,
-        )  # fmt: skip
-        q.x, q.y, q.psi, q.vx, q.vy, q.omega0, ax, ay, al, f1, f2 = after[:11]
-        slope1, above1, slope2, above2, on1, on2, fallen = after[29:]
-        self._rates, self._frame = (ax, ay, al, f1, f2), PalmFrame._make(after[11:29])
-        self._planes = (slope1, above1), (slope2, above2)
-        self._on1, self._on2, self.fallen = on1 != 0.0, on2 != 0.0, fallen != 0.0
-
-    def _packed_state(self) -> tuple[float, ...]:
-        """The numbers of `Body` in `plant.c`."""
-        q, (plane1, plane2) = self.state, self._planes
-        return (
-            q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,
-            self._on1, self._on2, self.fallen,
-        )  # fmt: skip
-
-    def simulate_rocking(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
-        """The rows of a run, see `CompiledStep.run`, of a body that was placed and not moved since.
-
-        None if there is no compiled version for it.
-        """
-        return None if self._compiled is None else self._compiled.run(self._packed_state(), drive, bounds, dt, count)
 
     def _update_tangent_planes(self) -> None:
         """For bowed palms, update the tangent planes at the points nearest to the body."""

@@ -65,9 +65,6 @@ class SignPairsPlant(Plant):
         self._slips: list[float] | None = None
         self._signs: list[float] = []
 
-    def _compiled_step(self) -> None:
-        """There is no compiled version."""
-
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
         arguments = frame, x, y, psi, vx, vy, w
         self._slips = []

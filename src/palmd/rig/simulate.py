@@ -26,7 +26,6 @@ import numpy as np
 
 from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray, PalmMotion
-from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
 from palmd.rig.friction import law_of, plant_on, shaken
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.plant import (
@@ -42,7 +41,7 @@ from palmd.rig.plant import (
 )
 from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
-from palmd.rig.vibrating_plant import VibratingPlant
+from palmd.rig.vibrating_plant import ContactBounds, Drive, VibratingPlant
 from palmd.system.arcs import FLAT
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
@@ -170,13 +169,9 @@ class SimulatedRun:
         return self.imperfections.true_palms(self.rocking.at(t))
 
     def drive(self, lag_s: float) -> Drive:
-        """`palms_at(t - lag_s)` in the form that compiled plants take."""
+        """`palms_at(t - lag_s)` in the form that the compiled plant takes."""
         angle_errors = self.imperfections.true_palms(PalmMotion.at_rest((0.0,) * len(JOINTS))).angles
-        return Drive(
-            [RockNumbers(*astuple(rock)) for rock in (self.rocking.palm1, self.rocking.palm2)],
-            angle_errors,
-            lag_s,
-        )
+        return Drive([astuple(rock) for rock in (self.rocking.palm1, self.rocking.palm2)], angle_errors, lag_s)
 
 
 def simulate_log(
@@ -263,10 +258,9 @@ def simulate_run(
     count = round(duration_s / STEP_S) + 1
     mass, low, high = scene.body.mass, _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M
     least = _MIN_FORCE * mass
-    if not absences:
-        compiled = plant.simulate_rocking(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
-        if compiled is not None:
-            return _without_ripple(plant, compiled) if len(compiled) == count else None
+    if isinstance(plant, VibratingPlant) and not absences:
+        history = plant.simulate_rocking(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
+        return smoothed(history) if len(history) == count else None
     rows = []
     is_absent = False
     for k in range(count):
@@ -292,12 +286,8 @@ def simulate_run(
         middle = scene.palms_at(t + 0.5 * STEP_S - lag)
         palms = scene.palms_at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
-    return _without_ripple(plant, np.array(rows))
-
-
-def _without_ripple(plant: Plant, history: FloatArray) -> FloatArray:
-    """Without the vibration's ripple; only a plant that resolves the vibration has one."""
-    return smoothed(history) if isinstance(plant, VibratingPlant) else history
+    run = np.array(rows)
+    return smoothed(run) if isinstance(plant, VibratingPlant) else run  # only a resolved vibration has a ripple
 
 
 def smoothed(history: FloatArray, window_s: float = _SMOOTHING_S) -> FloatArray:

@@ -6,7 +6,84 @@
    a sticking contact needs more than mu * f, and the modes are chosen again. Palms are arcs through the hinge (flat:
    curvature 0), the geometry is that of `rig.curved_plant`. */
 
-#include "plant.h"
+#include <math.h>
+
+#define NODES 2048 /* of a support function's table */
+#define SHAKING 3
+
+static const double PI = 3.141592653589793, TAU = 6.283185307179586;
+
+typedef struct {
+  double angles[2], rates[2], accelerations[2];
+} Palms;
+
+typedef struct { /* of one palm: `simulate.Rock`, with its rests as (from, to) */
+  double mean, amplitude, frequency, phase;
+  const double (*rests)[2];
+  long resting;
+} Rock;
+
+typedef struct { /* of both palms; `off`: error of each joint angle (rad), `lag`: delay (s) */
+  Rock rocks[2];
+  double off[2], lag;
+} Rocking;
+
+typedef struct { /* bounds of a contact, in N and m */
+  double mass, least, low, high;
+} ContactBounds;
+
+typedef struct {
+  double t, psi, omega0, r[2], s[2], angles[2], force[2];
+} Row;
+
+typedef struct {
+  double h, first, second;
+} Support;
+
+static inline Support support_at(const double (*table)[4], double theta) {
+  const double per_rad = NODES / TAU, position = theta * per_rad, node = rint(position);
+  const double e = (position - node) / per_rad, *row = table[(long)node & (NODES - 1)];
+  const double h = row[0], h1 = row[1], half_h2 = row[2], sixth_h3 = row[3];
+  return (Support){h + e * (h1 + e * (half_h2 + e * sixth_h3)), h1 + e * (2.0 * half_h2 + e * 3.0 * sixth_h3),
+                   2.0 * half_h2 + e * 6.0 * sixth_h3};
+}
+
+typedef struct {
+  double value, rate, acceleration;
+} SmoothStep;
+
+static inline SmoothStep smooth_step(double t) {
+  if (t >= 1.0) return (SmoothStep){1.0, 0.0, 0.0};
+  const double u = fmax(t, 0.0), left = 1.0 - u;
+  return (SmoothStep){u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left),
+                 60.0 * u * left * (1.0 - 2.0 * u)};
+}
+
+static inline SmoothStep rocked(const Rock *rock, double t) {
+  SmoothStep w = smooth_step(t);
+  for (long i = 0; i < rock->resting; i++) {
+    const double begin = rock->rests[i][0], end = rock->rests[i][1];
+    if (!(begin < t && t < end + 1.0)) continue;
+    const SmoothStep out = smooth_step(t - begin), back = smooth_step(t - end);
+    const double v = back.value - out.value + 1.0, dv = back.rate - out.rate;
+    const double ddv = back.acceleration - out.acceleration;
+    w = (SmoothStep){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
+  }
+  const double k = TAU * rock->frequency, s = sin(k * t + rock->phase), c = cos(k * t + rock->phase);
+  const double a = rock->amplitude;
+  return (SmoothStep){rock->mean + a * w.value * s, a * (w.rate * s + w.value * k * c),
+                 a * (w.acceleration * s + 2.0 * w.rate * k * c - w.value * k * k * s)};
+}
+
+static inline Palms palms_at(const Rocking *rocking, double t) {
+  Palms palms;
+  for (int i = 0; i < 2; i++) {
+    const SmoothStep nominal = rocked(&rocking->rocks[i], t);
+    palms.angles[i] = nominal.value + rocking->off[i];
+    palms.rates[i] = nominal.rate, palms.accelerations[i] = nominal.acceleration;
+  }
+  return palms;
+}
 
 #define CONTACTS 2
 #define UNKNOWNS 4
@@ -218,11 +295,12 @@ static int forced(const Scene *scene, const Body *body, const State *q, double t
   return 1;
 }
 
-static State ahead(const State *q, const Rates *r, double dt) { /* by velocities, and by accelerations if given */
-  State after = {q->x + dt * q->vx, q->y + dt * q->vy, q->psi + dt * q->w, q->vx, q->vy, q->w, {0}, {0}};
+/* The state after dt by the velocities of `v`, and by accelerations if given. */
+static State ahead(const State *q, const State *v, const Rates *r, double dt) {
+  State after = {q->x + dt * v->vx, q->y + dt * v->vy, q->psi + dt * v->w, q->vx, q->vy, q->w, {0}, {0}};
   if (r) after.vx += dt * r->ax, after.vy += dt * r->ay, after.w += dt * r->al;
   for (int i = 0; i < CONTACTS; i++) {
-    after.give[i] = q->give[i] + dt * q->giving[i];
+    after.give[i] = q->give[i] + dt * v->giving[i];
     after.giving[i] = q->giving[i] + (r ? dt * r->given[i] : 0.0);
   }
   return after;
@@ -233,7 +311,7 @@ static void slip_rates(const Scene *scene, const Body *body, const Palms *palms,
                        const Contact *at, const Rates *r, double *rates) {
   const Palms later = moved(palms, AHEAD_S);
   const Frame frame = frame_of(scene, &later);
-  const State after = ahead(q, r, AHEAD_S);
+  const State after = ahead(q, q, r, AHEAD_S);
   for (int i = 0; i < CONTACTS; i++) {
     double theta = body->theta[i];
     rates[i] = body->on[i] ? (contact_of(scene, i, &frame, &after, t + AHEAD_S, &theta).slip - at[i].slip) / AHEAD_S : 0.0;
@@ -312,17 +390,11 @@ static int integrate(const Scene *scene, Body *body, const Motion *motion, doubl
   const State q = body->state;
   const Rates r1 = body->rates;
   Rates r2, r3, r4;
-  const State q2 = ahead(&q, &r1, half);
+  const State q2 = ahead(&q, &q, &r1, half);
   if (!solve(scene, body, &mid, &mid_frame, &q2, t + half, &r2)) return 0;
-  State q3 = {q.x + half * q2.vx, q.y + half * q2.vy, q.psi + half * q2.w, q.vx + half * r2.ax, q.vy + half * r2.ay,
-               q.w + half * r2.al, {0}, {0}};
-  for (int i = 0; i < CONTACTS; i++)
-    q3.give[i] = q.give[i] + half * q2.giving[i], q3.giving[i] = q.giving[i] + half * r2.given[i];
+  const State q3 = ahead(&q, &q2, &r2, half);
   if (!solve(scene, body, &mid, &mid_frame, &q3, t + half, &r3)) return 0;
-  State q4 = {q.x + dt * q3.vx, q.y + dt * q3.vy, q.psi + dt * q3.w, q.vx + dt * r3.ax, q.vy + dt * r3.ay,
-              q.w + dt * r3.al, {0}, {0}};
-  for (int i = 0; i < CONTACTS; i++)
-    q4.give[i] = q.give[i] + dt * q3.giving[i], q4.giving[i] = q.giving[i] + dt * r3.given[i];
+  const State q4 = ahead(&q, &q3, &r3, dt);
   if (!solve(scene, body, &end, &end_frame, &q4, t + dt, &r4)) return 0;
   State *after = &body->state;
   after->x = q.x + sixth * (q.vx + 2.0 * (q2.vx + q3.vx) + q4.vx);

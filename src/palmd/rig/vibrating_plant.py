@@ -17,12 +17,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from functools import cache
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
-from palmd.rig.compiled_plant import ROW, ContactBounds, Drive, PackedRun, load_library
+from palmd.model.compiled import load
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.mean_turning import MeanTurning
@@ -49,6 +50,27 @@ FORCE_LAG_S = 2.5e-3
 """Time constant of each of two low-pass stages that average the pads' forces over the vibration."""
 _CONTACTS = 2
 _STEPS_PER_RESONANCE = 12.0  # of a mount
+_ROW = 11  # numbers in `Row` of `vibrating_plant.c`
+
+
+class Drive(NamedTuple):
+    """Motion of both palms, the error of each joint angle (rad) with respect to it, and its delay (s).
+
+    rocks: of each palm the fields of `simulate.Rock`, its rests as (from, to) in s.
+    """
+
+    rocks: Sequence[tuple[Any, ...]]
+    angle_errors: Sequence[float]
+    lag: float
+
+
+class ContactBounds(NamedTuple):
+    """Bounds of both contacts: the body's mass (kg), the smallest force (N), and the range of positions (m)."""
+
+    mass: float
+    least: float
+    low: float
+    high: float
 
 
 def _doubles(*names: str) -> list[tuple[str, type]]:
@@ -95,6 +117,22 @@ class _PalmMotions(ctypes.Structure):
     _fields_ = tuple(_pairs("angles", "rates", "accelerations"))
 
 
+class _Rock(ctypes.Structure):
+    _fields_ = (
+        *_doubles("mean", "amplitude", "frequency", "phase"),
+        ("rests", ctypes.c_void_p),
+        ("resting", ctypes.c_long),
+    )
+
+
+class _Rocking(ctypes.Structure):
+    _fields_ = (("rocks", _Rock * _CONTACTS), *_pairs("off"), *_doubles("lag"))
+
+
+class _ContactBounds(ctypes.Structure):
+    _fields_ = tuple(_doubles(*ContactBounds._fields))
+
+
 class VibratingPlant(CurvedPlant):
     """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` describes, for smooth bodies, in C."""
 
@@ -111,9 +149,9 @@ class VibratingPlant(CurvedPlant):
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
-        """As `CurvedPlant`; raises ValueError if `can_resolve` returns False."""
-        if not can_resolve(body):
-            raise ValueError("a vibration can be resolved only for a smooth body and with a C compiler")
+        """As `CurvedPlant`; raises ValueError for a body that is not smooth."""
+        if not isinstance(body.support, Support):
+            raise ValueError("a vibration can be resolved only for a smooth body")
         self.shaking = shaking
         self._turning = MeanTurning(shaking.period_s)
         self._t_touched = [-math.inf] * _CONTACTS
@@ -191,8 +229,11 @@ class VibratingPlant(CurvedPlant):
                 self._t_touched[i] = self._t
         self._copy_state()
 
-    def simulate_rocking(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
-        """The rows of a run, see `CompiledStep.run`, of a body that was placed and not moved since."""
+    def simulate_rocking(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
+        """Rows as `Row` in `vibrating_plant.c`, one before each of `count` steps of `dt` (s), of a body just placed.
+
+        They end where a contact violates its bounds.
+        """
         return self._scene.rock(self._memory, drive, bounds, dt, count)
 
     def _copy_state(self) -> None:
@@ -221,7 +262,7 @@ class VibratingPlant(CurvedPlant):
             "arc": mode == "arc",
         }  # fmt: skip
         support = self.body.support
-        assert isinstance(support, Support), "`can_resolve` was checked"
+        assert isinstance(support, Support), "`__init__` checks it"
         return _CompiledScene(support, numbers, palms)
 
     def _palm(self, i: int) -> dict[str, float]:
@@ -243,9 +284,7 @@ class _CompiledScene:
 
     def __init__(self, support: Support, numbers: Mapping[str, Any], palms: Sequence[Mapping[str, float]]) -> None:
         self._arguments = support, numbers, palms
-        library = _library()
-        assert library is not None, "`can_resolve` was checked"
-        self._library, self._table = library, np.array(support.table)
+        self._library, self._table = _library(), np.array(support.table)
         self._scene = _VibratingScene(
             table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
         )
@@ -260,30 +299,32 @@ class _CompiledScene:
         )
 
     def rock(self, body: _Body, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
-        rows, packed = np.empty((count, ROW)), PackedRun(drive, bounds)
+        rows, rests = np.empty((count, _ROW)), [np.array(rock[4], np.float64).reshape(-1, 2) for rock in drive.rocks]
+        rocks = [_Rock(*rock[:4], own.ctypes.data, len(own)) for rock, own in zip(drive.rocks, rests, strict=True)]
+        rocking = _Rocking(tuple(rocks), tuple(drive.angle_errors), drive.lag)
         row_count = self._library.vibrating_plant_rock(
-            self._scene_address, ctypes.byref(body), packed.drive, packed.bounds, dt, rows.ctypes.data, count
-        )
+            self._scene_address, ctypes.byref(body), ctypes.byref(rocking), ctypes.byref(_ContactBounds(*bounds)), dt,
+            rows.ctypes.data, count,
+        )  # fmt: skip
         return rows[:row_count]
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         return _CompiledScene, self._arguments
 
 
-def can_resolve(body: Body) -> bool:
-    """Whether a vibration can be resolved for the body: it is smooth, and there is a C compiler."""
-    return isinstance(body.support, Support) and _library() is not None
-
-
 def _packed_palms(motion: PalmMotion) -> ctypes._CArgObject:
     return ctypes.byref(_PalmMotions(motion.angles, motion.rates, motion.accelerations))
 
 
+def backend() -> str:
+    """How the plant is stepped: "c"; raises NotCompiledError if it cannot be compiled."""
+    _library()
+    return "c"
+
+
 @cache
-def _library() -> ctypes.CDLL | None:
-    library = load_library("vibrating_plant")
-    if library is None:
-        return None
+def _library() -> ctypes.CDLL:
+    library = load("vibrating_plant", list, written=[str(Path(__file__).with_suffix(".c"))]).opened()
     pointer, double = ctypes.c_void_p, ctypes.c_double
     library.vibrating_plant_place.argtypes = (pointer,) * 3
     library.vibrating_plant_advance.argtypes = (*[pointer] * 4, double)

@@ -14,7 +14,7 @@ from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 from palmd.rig.plant import AS_ASSUMED, FrictionSurface, Hinge
 from palmd.rig.shaker import Shaker, Shaking
 from palmd.rig.shapes import Body, ellipse
-from palmd.rig.vibrating_plant import VibratingPlant, can_resolve
+from palmd.rig.vibrating_plant import VibratingPlant
 from palmd.system.mechanism import normal_directions
 
 BODY = Body(
@@ -28,8 +28,6 @@ STEP_S, STEPS, APART = 5e-4, 8000, 5
 OVER = 20  # steps on either side, of a mean
 SETTLED = 400  # steps from any start
 WINDOW = 100  # of these instants: 0.25 s
-
-pytestmark = pytest.mark.skipif(not can_resolve(BODY), reason="resolving a vibration takes a C compiler")
 
 
 def exploring(t: float) -> PalmMotion:
