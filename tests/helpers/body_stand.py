@@ -14,8 +14,7 @@ from palmd.model.three_palms import MOMENT
 from palmd.motion.segments import Move
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
-from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
-from palmd.rig.three_palms.plant import FrictionParameters
+from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters, palm_rows
 from palmd.system.three_palms import palms_at, readings_of, room_on_pads
 from tools.studies.space_logs import KINDS, STEP_S, initial_states
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from plain_body_equations import acceleration_kernel
+from plain_body_on_palms import BodyStates, PalmState, accelerations
 
 from palmd.model.spherical import count, evaluator
 from palmd.observer.three_palms import kernels
@@ -16,7 +17,7 @@ from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.record import PadReadings, lay_out
 from palmd.observer.three_palms.smoother import BodyPrior, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
-from palmd.rig.three_palms.plant import BodyStates, FrictionParameters, PalmState, accelerations
+from palmd.rig.three_palms.plant import FrictionParameters
 from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of
 
 ORDER, GRAVITY = 8, 9.81

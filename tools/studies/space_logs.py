@@ -11,8 +11,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation, spread_directions
-from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
-from palmd.rig.three_palms.plant import FrictionParameters
+from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters, palm_rows
 from palmd.rig.three_palms.world import REST_POSE, SETTLING_DRAG, SETTLING_S
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 

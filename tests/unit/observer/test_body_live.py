@@ -28,8 +28,7 @@ from palmd.observer.three_palms.propagation import BodyHypothesis, propagate, pr
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
-from palmd.rig.three_palms.compiled import BodyOnPalms
-from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
+from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters
 from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()
@@ -82,7 +81,7 @@ class Rolled:
         centre, omega = np.linalg.solve(normal, h[0]), np.array([0.5, -0.3, 0.2])
         r = np.einsum("ij,nj->ni", R[0], x[0])
         lift = -rate @ centre + (r * (np.cross(omega, normal) - rate)).sum(-1)
-        plant.begin(BodyStates(centre[None], np.linalg.solve(normal, lift)[None], R, omega[None]))
+        plant.begin(centre, np.linalg.solve(normal, lift), R, omega)
         self.t = 2e-3 * np.arange(1, 201)
         self.states, self.read, self.force = [], [], []
         self.begun = R[0], omega
@@ -277,9 +276,8 @@ class Lived:
     def _settle(self, plant, rng):
         R, at = random_rotation(rng, 1), palms_at(*swung(np.zeros(3)))
         h = plant.body.support(-np.einsum("bji,nj->bni", R, at.normal[0]))[0][0]
-        still = np.zeros((1, 3))
         slow = BodyOnPalms(plant.body, FrictionParameters(np.zeros(1), np.ones(1), np.full(1, 4e-3)), 9.81)
-        slow.begin(BodyStates(np.linalg.solve(at.normal[0], h)[None], still, R, still))
+        slow.begin(np.linalg.solve(at.normal[0], h), np.zeros(3), R, np.zeros(3))
         for _ in range(1500):
             slow.advance(inputs_of(at), self.STEP)
         plant.state[:] = slow.state

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_body_on_palms import BodyStates, PalmState, accelerations
 
 from palmd.daemon.three_palms_system import TiltPoses
 from palmd.devices.actuator import Pose
@@ -12,8 +13,14 @@ from palmd.devices.pad import make_pad
 from palmd.events import PadSample
 from palmd.messages import stamp
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
-from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms, backend, palm_rows
-from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
+from palmd.rig.three_palms.plant import (
+    PHASE_SHIFT,
+    PHASES,
+    BodyOnPalms,
+    FrictionParameters,
+    TurningPalms,
+    palm_rows,
+)
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.system.three_palms import PALMS, palms_at, readings_of
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
@@ -23,45 +30,67 @@ from tools.published import validate
 CONFIG = load_any_config(Path(__file__).parents[3] / "config/three_palms.yaml")
 
 
+STEP_S = 2e-3
+
+
 def palms(t):
     angle = np.array([[0.9, 0.8, 0.8]]) + 0.1 * np.sin(3 * t)
     rate, acceleration = (np.full((1, 3), each) for each in (0.3 * math.cos(3 * t), -0.9 * math.sin(3 * t)))
-    each = palms_at(angle, rate, acceleration)
-    kinds = (each.normal, each.normal_rate, each.normal_acceleration, each.spin)
-    return np.concatenate([kind.reshape(1, 9) for kind in kinds], axis=1)
+    return palm_rows(palms_at(angle, rate, acceleration))
 
 
-@pytest.mark.skipif(backend() != "c", reason="no C compiler")
-def test_the_compiled_plant_does_what_its_twin_does():
+def step_of_palms(k):
+    """At the beginning of step k, midway and at its end."""
+    return np.concatenate([palms((k + share) * STEP_S) for share in (0.0, 0.5, 1.0)])
+
+
+def put_on_palms(mu, dither):
+    """A body that touches all palms, its friction, and its state."""
     rng = np.random.default_rng(5)
-    body, rubbing = random_bodies(1, rng), FrictionParameters(np.array([0.1]), np.array([0.01]), np.array([1e-4]))
+    body, rubbing = random_bodies(1, rng), FrictionParameters(*(np.array([each]) for each in (mu, dither, 1e-4)))
     R, normal = random_rotation(rng, 1), palms(0.0)[0, :9].reshape(3, 3)
     h = body.support(-np.einsum("bji,nj->bni", R, normal))[0][0]
-    still = np.zeros((1, 3))
-    begun = BodyStates(np.linalg.solve(normal, h)[None], still, R, still + 0.5)
-    pair = [BodyOnPalms(body, rubbing, 9.81, compiled=compiled) for compiled in (True, False)]
-    for each in pair:
-        each.begin(begun)
-        for k in range(20):
-            t = 2e-3 * k
-            each.advance(np.concatenate([palms(t), palms(t + 1e-3), palms(t + 2e-3)]), 2e-3)
-    compiled, twin = pair
-    assert np.abs(compiled.state - twin.state).max() < 1e-13
-    assert np.abs(compiled.force - twin.force).max() < 1e-11
-    assert np.abs(compiled.point - twin.point).max() < 1e-14
+    return body, rubbing, (np.linalg.solve(normal, h), np.zeros(3), R, np.zeros(3))
 
 
-@pytest.mark.skipif(backend() != "c", reason="no C compiler")
-def test_the_compiled_palms_turn_and_read_as_their_twin_does():
+def plain_rates(plant, row, x, phases):
+    """Derivatives of the state x and the contacts, by the equations in NumPy."""
+    state = BodyStates(x[None, :3], x[None, 3:6], x[6:15].reshape(1, 3, 3), x[None, 15:])
+    at = PalmState(*(kind.reshape(1, 3, 3) for kind in row.reshape(4, 9)))
+    v_rate, w_rate, touch = accelerations(plant.body, plant.friction, at, state, 9.81, phases)
+    turned = np.cross(x[15:], x[6:15].reshape(3, 3).T).T
+    return np.concatenate([x[3:6], v_rate[0], turned.ravel(), w_rate[0]]), touch
+
+
+def test_the_plant_steps_by_runge_kutta_as_the_plain_equations_do():
+    body, rubbing, begun = put_on_palms(0.1, 0.01)
+    plant = BodyOnPalms(body, rubbing, 9.81)
+    plant.begin(*begun[:3], np.full(3, 0.5))
+    x = plant.state.copy()
+    for k in range(20):
+        rows, phases = step_of_palms(k), PHASES + k * PHASE_SHIFT
+        plant.advance(rows, STEP_S)
+        k1, _ = plain_rates(plant, rows[0], x, phases)
+        k2, _ = plain_rates(plant, rows[1], x + 0.5 * STEP_S * k1, phases)
+        k3, _ = plain_rates(plant, rows[1], x + 0.5 * STEP_S * k2, phases)
+        k4, _ = plain_rates(plant, rows[2], x + STEP_S * k3, phases)
+        x = x + STEP_S / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        R = x[6:15].reshape(3, 3)
+        x[6:15] = (R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)).ravel()  # a Newton step towards the nearest rotation
+    _, touch = plain_rates(plant, rows[2], x, phases)
+    np.testing.assert_allclose(plant.state, x, atol=1e-11)
+    np.testing.assert_allclose(plant.force, touch.force[0], atol=1e-9)
+    np.testing.assert_allclose(plant.point, touch.point[0], atol=1e-12)
+
+
+def test_the_palms_turn_and_read_as_the_systems_own_equations_say():
     rng = np.random.default_rng(6)
     at = [tuple(map(tuple, rng.normal(size=(3, 3)))) for _ in range(8)]
-    compiled, twin = (TurningPalms(at[0], compiled=each) for each in (True, False))
-    points = rng.normal(0.0, 0.03, (3, 3))
+    compiled, points = TurningPalms(at[0]), rng.normal(0.0, 0.03, (3, 3))
     for joints in at:
-        for each in (compiled, twin):
-            each.turn(joints)
-        assert np.abs(compiled.rows - twin.rows).max() < 2e-14
+        compiled.turn(joints)
         planes = palms_at(*np.array(joints)[:, None])
+        assert np.abs(compiled.rows[2] - palm_rows(planes)[0]).max() < 2e-14
         assert np.abs(compiled.readings(points) - readings_of(planes, points[None])[0]).max() < 1e-16
     assert np.abs(compiled.rows[0] - palm_rows(palms_at(*np.array(at[-3])[:, None]))[0]).max() < 2e-14
 
@@ -148,43 +177,24 @@ def test_the_line_carries_degrees_in_place_of_micrometres():
     assert TiltPoses().angles(Pose(0.051, 0.046, 0.8)) == pytest.approx((math.radians(51), math.radians(46), 0.8))
 
 
-def turned(body, rubbing, begun, frequencies, compiled=True, steps=500):
+def turned(frequencies):
     """Rotations of a body on palms that vibrate, every step, and the forces at the end."""
-    plant = BodyOnPalms(body, rubbing, 9.81, frequencies=frequencies, compiled=compiled)
-    plant.begin(begun)
+    body, rubbing, begun = put_on_palms(0.2, 0.0157)
+    plant = BodyOnPalms(body, rubbing, 9.81, frequencies=frequencies)
+    plant.begin(*begun)
     rows = []
-    for k in range(steps):
-        t = 2e-3 * k
-        plant.advance(np.concatenate([palms(t), palms(t + 1e-3), palms(t + 2e-3)]), 2e-3)
+    for k in range(500):
+        plant.advance(step_of_palms(k), STEP_S)
         rows.append(plant.state[6:15].reshape(3, 3).copy())
     return np.array(rows), plant.force.copy()
 
 
-def vibrating_scene():
-    rng = np.random.default_rng(5)
-    body, rubbing = random_bodies(1, rng), FrictionParameters(np.array([0.2]), np.array([0.0157]), np.array([1e-4]))
-    R, normal = random_rotation(rng, 1), palms(0.0)[0, :9].reshape(3, 3)
-    h = body.support(-np.einsum("bji,nj->bni", R, normal))[0][0]
-    still = np.zeros((1, 3))
-    return body, rubbing, BodyStates(np.linalg.solve(normal, h)[None], still, R, still)
-
-
-@pytest.mark.skipif(backend() != "c", reason="no C compiler")
 def test_averages_over_vibrations_are_the_limit_of_fast_ones():
     """Resolved in steps of a fortieth of a period, to some hundredths of a degree of a turn of ten and more."""
-    scene = vibrating_scene()
-    averaged, force = turned(*scene, None)
-    resolved, felt = turned(*scene, (2500.0, 2630.0, 2810.0))
+    averaged, force = turned(None)
+    resolved, felt = turned((2500.0, 2630.0, 2810.0))
     apart = np.degrees(np.arccos(np.clip((np.einsum("kij,kij->k", averaged, resolved) - 1.0) / 2.0, -1.0, 1.0)))
     way = np.degrees(np.arccos(np.clip((np.einsum("kij,ij->k", averaged, averaged[0]) - 1.0) / 2.0, -1.0, 1.0)))
     assert way.max() > 5.0
     assert apart.max() < 0.03
     np.testing.assert_allclose(felt, force, rtol=0.03)
-
-
-@pytest.mark.skipif(backend() != "c", reason="no C compiler")
-def test_the_compiled_plant_vibrates_as_its_twin_does():
-    scene = vibrating_scene()
-    compiled, twin = (turned(*scene, (250.0, 263.0, 281.0), each, 8) for each in (True, False))
-    assert np.abs(compiled[0] - twin[0]).max() < 1e-12
-    assert np.abs(compiled[1] - twin[1]).max() < 1e-9

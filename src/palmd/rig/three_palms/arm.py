@@ -11,7 +11,7 @@ import numpy as np
 
 from palmd.config.three_palms import ThreePalmsConfig
 from palmd.devices.actuator import Pose
-from palmd.rig.three_palms.compiled import JointMotion
+from palmd.rig.three_palms.plant import JointMotion
 from palmd.rig.tool import DrivenTool, limits_around
 
 HEADROOM = 2.0  # ratio of the controller's limits to those required

@@ -1,4 +1,4 @@
-/* One step of one body on three palms, see `rig.three_palms.plant`; and the palms for given joints, see
+/* One step of one body on three palms, described in `rig.three_palms.plant`; and the palms for given joints, see
    `system.three_palms.palms_at`. */
 
 #include <math.h>

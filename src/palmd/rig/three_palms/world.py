@@ -21,9 +21,8 @@ from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
-from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms
 from palmd.rig.three_palms.pads import PlanePadEmulator
-from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
+from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters, TurningPalms
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
@@ -167,8 +166,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         normal = palms[0, :9].reshape(3, 3)
         h, _, _ = body.body.support(-np.einsum("bji,nj->bni", R, normal))
         centre: FloatArray = np.asarray(np.linalg.solve(normal, h[0]), np.float64)
-        still = np.zeros((1, 3))
-        trial.begin(BodyStates(centre[None], still, R, still))
+        trial.begin(centre, np.zeros(3), R, np.zeros(3))
         for _ in range(round(SETTLING_S / PLANT_STEP_S)):
             trial.advance(palms, PLANT_STEP_S)
         body.state[:] = trial.state
