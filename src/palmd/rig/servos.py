@@ -8,15 +8,15 @@ from __future__ import annotations
 import importlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from palmd.config.arms import ArmConfig, ServoConfig, ServosConfig
 from palmd.config.two_palms import Config
 from palmd.devices.actuator import ArmState
-from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader
+from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader, Register
 from palmd.events import Joints, PalmMotion
 from palmd.rig.actuators import Transmission
 from palmd.rig.arm import Servo
@@ -64,10 +64,27 @@ class Backlash:
         return self._side * self._half + swing, b - k * swing, k * (k * swing - 2.0 * b)
 
 
-class ServoShaft(ABC):
-    """One servo of any make. Shaft positions are in counts; the configured sign relates them to palm directions."""
+class CommonRegisters(NamedTuple):
+    """Registers that every make has; a hardware error in both `error` and `shutdown` switches the torque off."""
 
+    id: Register
+    baud: Register
+    torque: Register
+    error: Register
+    shutdown: Register
+
+
+class ServoShaft(ABC):
+    """One servo of any make: its control table, and its shaft.
+
+    Shaft positions are in counts; the configured sign relates them to palm directions.
+    """
+
+    registers: ClassVar[CommonRegisters]
+    hardware_errors: ClassVar[Mapping[str, int]]
+    """Bit of the register `error` by injected fault."""
     refusals = 0
+    _table: bytearray
 
     def __init__(self, config: ServoConfig, direction: float, rng: np.random.Generator, t: float) -> None:
         """At rest with its palm at `direction` (rad) at t (s)."""
@@ -79,10 +96,34 @@ class ServoShaft(ABC):
         self._offset_counts = 0.0  # injected encoder error
         self._load = 0.0  # N m, in the direction of increasing counts
 
+    def get(self, register: Register) -> int:
+        """A register's value."""
+        return register.decode(self._table[register.address : register.end])
+
+    def _set(self, register: Register, value: int) -> None:
+        self._table[register.address : register.end] = register.encode(value)
+
     @property
-    @abstractmethod
+    def id(self) -> int:
+        """Its number on the bus."""
+        return self.get(self.registers.id)
+
+    @property
     def torque(self) -> bool:
         """Whether its torque is enabled."""
+        return bool(self.get(self.registers.torque))
+
+    def is_listening(self, baud_code: int, t: float) -> bool:
+        """Whether it receives and answers on a bus of this speed."""
+        return t >= self._t_ready and self.get(self.registers.baud) == baud_code
+
+    def fail(self, trouble: str, t: float) -> None:
+        """Raise the hardware error of the injected fault `trouble`; torque goes off if the shutdown mask says so."""
+        error, registers = self.hardware_errors[trouble], self.registers
+        self._set(registers.error, self.get(registers.error) | error)
+        if self.get(registers.shutdown) & error:
+            self._set(registers.torque, 0)
+            self._stop(t)
 
     @property
     @abstractmethod
@@ -97,10 +138,6 @@ class ServoShaft(ABC):
     @abstractmethod
     def step(self, t: float) -> None:
         """Advance to t (s)."""
-
-    @abstractmethod
-    def fail(self, trouble: str, t: float) -> None:
-        """Raise the hardware error of the injected fault `trouble`."""
 
     @abstractmethod
     def restart(self, t: float, silent_s: float = REBOOT_S) -> None:

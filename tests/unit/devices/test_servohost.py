@@ -233,7 +233,7 @@ def refuses_torque(servo):
     write = servo.write
 
     def without_torque(address, data, t):
-        return servo._refuse(1) if address == dxl.TORQUE.address and data[0] else write(address, data, t)
+        return 1 if address == dxl.TORQUE.address and data[0] else write(address, data, t)
 
     servo.write = without_torque
 

@@ -3,15 +3,15 @@
 Each servo consists of its control table (`dynamixel_table`) and a shaft: EEPROM is locked while torque is on, profiles
 are time-based, a watchdog stops the servo, hardware errors are cleared by a restart only, and the encoder has 4096
 counts a turn and noise. A servo receives at its own baud rate only, under its id or its secondary id, and answers
-according to its status return level. Sync Writes and Bulk Writes are never answered; answers follow one another after
-the return delay of each. It moves in position mode and extended position mode. Source: ROBOTIS e-Manual, DYNAMIXEL
-Protocol 2.0.
+according to its status return level. Sync Writes are never answered; answers follow one another after the return delay
+of each. It moves in position mode and extended position mode. It knows the instructions that palmd sends: Ping, Read,
+Write, Reboot, Sync Read and Sync Write. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -24,60 +24,43 @@ from palmd.events import Joints
 from palmd.rig.actuators import Transmission
 from palmd.rig.servokinds import dynamixel_table as servotable
 from palmd.rig.servokinds.dynamixel_table import TableRefusal
-from palmd.rig.servos import RADIANS_PER_COUNT, REBOOT_S, ServoArm, ServoArmFactory, ServoShaft, servos_with_directions
+from palmd.rig.servos import (
+    RADIANS_PER_COUNT,
+    REBOOT_S,
+    CommonRegisters,
+    ServoArm,
+    ServoArmFactory,
+    ServoShaft,
+    servos_with_directions,
+)
 
 STEP_RAD_S = math.radians(360.0)  # speed of a servo without a profile
 
-_HARDWARE_ERRORS = {
-    "overload": HardwareError.OVERLOAD,
-    "overheat": HardwareError.HOT,
-    "undervoltage": HardwareError.VOLTAGE,
-}
-_RESET_ALL, _KEEP_ID, _KEEP_ID_AND_BAUD = 0xFF, 0x01, 0x02
-_CLEAR_TURNS = bytes.fromhex("01 44 58 4C 22")
-_READS = (
-    Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ, Instruction.FAST_SYNC_READ,
-    Instruction.FAST_BULK_READ,
-)  # fmt: skip
+_ANSWERED_FROM_LEVEL = {Instruction.PING: 0, Instruction.READ: 1, Instruction.SYNC_READ: 1}
 _POSITION_MODES = (servotable.POSITION_MODE, servotable.EXTENDED_MODE)
 
 
 class EmulatedServo(ServoShaft):
     """One servo: control table and shaft. Counts increase with the palm's direction as configured."""
 
+    registers = CommonRegisters(dxl.ID, dxl.BAUD, dxl.TORQUE, dxl.HARDWARE_ERROR, dxl.SHUTDOWN)
+    hardware_errors = {  # noqa: RUF012
+        "overload": HardwareError.OVERLOAD, "overheat": HardwareError.HOT, "undervoltage": HardwareError.VOLTAGE,
+    }  # fmt: skip
+
     def __init__(
         self, config: ServoConfig, direction: float, baud_code: int, rng: np.random.Generator, t: float
     ) -> None:
         """At rest with its palm at `direction` (rad), with factory settings except id and baud rate."""
         super().__init__(config, direction, rng, t)
-        self._registered: tuple[int, bytes] | None = None
-        self._cleared_counts = 0  # whole turns that CLEAR has subtracted from the position
         self._t_instruction = t
         self._table = bytearray(servotable.TABLE_BYTES)
         self._start({dxl.ID: config.id, dxl.BAUD: baud_code})
-
-    @property
-    def id(self) -> int:
-        """Its number on the bus."""
-        return self.get(dxl.ID)
 
     def _start(self, kept: Mapping[Register, int]) -> None:
         """Set all registers to factory values, except those given."""
         for entry in servotable.ENTRIES:
             self._set(entry.register, kept.get(entry.register, entry.factory))
-        self._registered, self._cleared_counts = None, 0
-
-    def get(self, register: Register) -> int:
-        """A register's value."""
-        return register.decode(self._table[register.address : register.end])
-
-    def _set(self, register: Register, value: int) -> None:
-        self._table[register.address : register.end] = register.encode(value)
-
-    @property
-    def torque(self) -> bool:
-        """Whether its torque is enabled."""
-        return bool(self.get(dxl.TORQUE))
 
     @property
     def tripped(self) -> bool:
@@ -105,14 +88,6 @@ class EmulatedServo(ServoShaft):
             self._set(dxl.PROFILE_VELOCITY, 0)
             self._stop(t)
 
-    def fail(self, trouble: str, t: float) -> None:
-        """Raise a hardware error; torque goes off if the shutdown mask says so."""
-        error = _HARDWARE_ERRORS[trouble]
-        self._set(dxl.HARDWARE_ERROR, self.get(dxl.HARDWARE_ERROR) | error)
-        if self.get(dxl.SHUTDOWN) & error:
-            self._set(dxl.TORQUE, 0)
-            self._stop(t)
-
     def restart(self, t: float, silent_s: float = REBOOT_S) -> None:
         """Restart as after `reboot` or a loss of power: RAM is reset, and it does not answer for `silent_s`."""
         stored = (entry.register for entry in servotable.ENTRIES if entry.register.address < dxl.EEPROM_END)
@@ -120,23 +95,13 @@ class EmulatedServo(ServoShaft):
         self._stop(t)
         self._t_ready = t + silent_s
 
-    def reset(self, option: int, t: float) -> int:
-        """Factory reset except for what the option keeps, and restart. Returns the error code of the answer."""
-        if option not in (_RESET_ALL, _KEEP_ID, _KEEP_ID_AND_BAUD):
-            return self._refuse(TableRefusal.RANGE)
-        kept = () if option == _RESET_ALL else (dxl.ID,) if option == _KEEP_ID else (dxl.ID, dxl.BAUD)
-        self._start({register: self.get(register) for register in kept})
-        self.restart(t)
-        return 0
-
     def is_listening(self, baud_code: int, t: float) -> bool:
         """Whether it receives and answers on a bus of this speed."""
-        return t >= self._t_ready and self.get(dxl.BAUD) == baud_code and self.get(servotable.PROTOCOL) == 2
+        return super().is_listening(baud_code, t) and self.get(servotable.PROTOCOL) == 2
 
     def answers(self, instruction: int) -> bool:
         """Whether its status return level requires an answer to the instruction."""
-        least = 0 if instruction == Instruction.PING else 1 if instruction in _READS else 2
-        return self.get(dxl.STATUS_LEVEL) >= least
+        return self.get(dxl.STATUS_LEVEL) >= _ANSWERED_FROM_LEVEL.get(instruction, 2)
 
     @property
     def delay_s(self) -> float:
@@ -155,22 +120,18 @@ class EmulatedServo(ServoShaft):
     def read(self, address: int, size: int, t: float) -> bytes:
         """Bytes of the table at t (s)."""
         x, v = self._encoder_counts(t)
-        self._set(dxl.POSITION, round(x + self._offset))
+        self._set(dxl.POSITION, round(x + self.get(dxl.HOMING_OFFSET)))
         self._set(dxl.VELOCITY, round(v / COUNTS_PER_TURN * 60.0 / dxl.VELOCITY_UNIT_RPM))
         self._set(dxl.TICK, int(t * 1e3) % 32768)
         self._set(dxl.MOVING, int(abs(v) > 1.0))
         return bytes(self._table[address : address + size])
 
-    @property
-    def _offset(self) -> int:
-        """Counts added to the shaft's for the reported position."""
-        return self.get(dxl.HOMING_OFFSET) - self._cleared_counts
-
     def write(self, address: int, data: bytes, t: float) -> int:
         """Write registers; returns the error code of the answer, 0 if done. Nothing is written on an error."""
         error = servotable.refusal(address, data, self.get)
         if error is not None:
-            return self._refuse(error)
+            self.refusals += 1
+            return error
         was_enabled = self.torque
         self._table[address : address + len(data)] = data
         has_new_goal = address <= dxl.GOAL.address < address + len(data)
@@ -180,46 +141,15 @@ class EmulatedServo(ServoShaft):
             self._stop(t)
         return 0
 
-    def register(self, address: int, data: bytes) -> int:
-        """Store a write until `act`; returns the error code of the answer."""
-        error = servotable.refusal(address, data, self.get)
-        if error is not None:
-            return self._refuse(error)
-        self._registered = address, data
-        self._set(servotable.REGISTERED, 1)
-        return 0
-
-    def act(self, t: float) -> int:
-        """Execute the stored write; returns the error code of the answer, also if nothing is stored."""
-        if self._registered is None:
-            return self._refuse(TableRefusal.INSTRUCTION)
-        registered, self._registered = self._registered, None
-        self._set(servotable.REGISTERED, 0)
-        return self.write(*registered, t)
-
-    def clear(self, parameters: bytes, t: float) -> int:
-        """Reset the position to within one turn; returns the error code of the answer, also while it moves."""
-        if parameters != _CLEAR_TURNS:
-            return self._refuse(TableRefusal.RANGE)
-        x, v, _ = self._shaft.at(t)
-        if abs(v) > 1.0:
-            return self._refuse(TableRefusal.FAILED)
-        self._cleared_counts += (round(x) + self._offset) // COUNTS_PER_TURN * COUNTS_PER_TURN
-        return 0
-
     def _aim(self, t: float) -> None:
         if self.get(dxl.OPERATING_MODE) not in _POSITION_MODES:
             return
-        distance = self.get(dxl.GOAL) - self._offset - self._shaft.goal(t)
+        distance = self.get(dxl.GOAL) - self.get(dxl.HOMING_OFFSET) - self._shaft.goal(t)
         by_time = self.get(dxl.DRIVE_MODE) & 4
         duration = self.get(dxl.PROFILE_VELOCITY) * 1e-3 if by_time else 0.0
         duration = duration or max(abs(distance) * RADIANS_PER_COUNT / STEP_RAD_S, 1e-3)
         self._shaft.follow(t, distance / duration)
         self._t_arrival = t + duration
-
-    def _refuse(self, error: int) -> int:
-        self.refusals += 1
-        return error
 
 
 class DynamixelArm(ServoArm[EmulatedServo]):
@@ -249,24 +179,10 @@ class DynamixelArm(ServoArm[EmulatedServo]):
         data = packet.parameters
         match packet.instruction:
             case Instruction.SYNC_WRITE if len(data) >= 4:
-                address, size = _address_and_size(data)
-                parts = [data[i : i + size + 1] for i in range(4, len(data), size + 1)]
-                self._write_each(
-                    addressed, [(part[0], address, part[1:]) for part in parts if len(part) == size + 1], t
-                )
+                self._sync_write(addressed, data, t)
                 return []
-            case Instruction.BULK_WRITE:
-                self._write_each(addressed, list(_bulk_writes(data)), t)
-                return []
-            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(data) >= 4:
-                return self._read_each(
-                    addressed, packet.instruction, [(each, *_address_and_size(data)) for each in data[4:]], t
-                )
-            case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
-                parts = [data[i : i + 5] for i in range(0, len(data) - 4, 5)]
-                return self._read_each(
-                    addressed, packet.instruction, [(part[0], *_address_and_size(part[1:])) for part in parts], t
-                )
+            case Instruction.SYNC_READ if len(data) >= 4:
+                return self._sync_read(addressed, data, t)
         transmissions = []
         t_free = t
         for servo in addressed:
@@ -291,19 +207,9 @@ class DynamixelArm(ServoArm[EmulatedServo]):
                     out = servo.read(address, size, t)
             case Instruction.WRITE if len(data) > 2:
                 error = servo.write(int.from_bytes(data[:2], "little"), data[2:], t)
-            case Instruction.REG_WRITE if len(data) > 2:
-                error = servo.register(int.from_bytes(data[:2], "little"), data[2:])
-            case Instruction.ACTION:
-                error = servo.act(t)
-            case Instruction.CLEAR:
-                error = servo.clear(data, t)
-            case Instruction.FACTORY_RESET if len(data) == 1:
-                if packet.servo == BROADCAST and data[0] == _RESET_ALL:
-                    return None  # it would give all servos of the bus the same id
-                error = servo.reset(data[0], t)
             case Instruction.REBOOT:
                 servo.restart(t)
-            case Instruction.READ | Instruction.WRITE | Instruction.REG_WRITE | Instruction.FACTORY_RESET:
+            case Instruction.READ | Instruction.WRITE:
                 error = TableRefusal.LENGTH
             case _:
                 error = TableRefusal.INSTRUCTION
@@ -311,67 +217,37 @@ class DynamixelArm(ServoArm[EmulatedServo]):
             return None
         return dxl.encode_status(number, error | servo.error, out)
 
-    def _write_each(
-        self, addressed: Sequence[EmulatedServo], writes: Sequence[tuple[int, int, bytes]], t: float
-    ) -> None:
-        """Write id, address and data of each; never answered."""
-        self._goals += any(address == dxl.GOAL.address for _, address, _ in writes)
-        values = {number: (address, data) for number, address, data in writes}
+    def _sync_write(self, addressed: Sequence[EmulatedServo], data: bytes, t: float) -> None:
+        """Write the same registers of several servos; never answered."""
+        address, size = _address_and_size(data)
+        parts = {data[i]: data[i + 1 : i + 1 + size] for i in range(4, len(data) - size, size + 1)}
+        is_goal = address == dxl.GOAL.address
+        self._goals += is_goal and bool(parts)
         for servo in addressed:
-            if servo.id in values:
-                address, data = values[servo.id]
-                before = servo.refusals
-                servo.write(address, data, t)
-                self._outside += address == dxl.GOAL.address and servo.refusals > before and not servo.tripped
+            if servo.id in parts:
+                is_refused = servo.write(address, parts[servo.id], t) != 0
+                self._outside += is_goal and is_refused and not servo.tripped
 
-    def _read_each(
-        self, addressed: Sequence[EmulatedServo], instruction: int, reads: Sequence[tuple[int, int, int]], t: float
-    ) -> list[Transmission]:
-        """Read id, address and size of each. A servo answers after the one before it; if one does not answer, none of
-        the following does."""
-        answering = {servo.id: servo for servo in addressed if servo.answers(instruction)}
-        t_free, answers = t, []
-        for number, address, size in reads:
+    def _sync_read(self, addressed: Sequence[EmulatedServo], data: bytes, t: float) -> list[Transmission]:
+        """A servo answers after the one before it; if one does not answer, none of the following does."""
+        address, size = _address_and_size(data)
+        answering = {servo.id: servo for servo in addressed if servo.answers(Instruction.SYNC_READ)}
+        is_inside = address + size <= servotable.TABLE_BYTES
+        t_free, transmissions = t, []
+        for number in data[4:]:
             servo = answering.get(number)
             if servo is None:
                 break
             t_free += servo.delay_s
-            inside = address + size <= servotable.TABLE_BYTES
-            error = servo.error if inside else servo.error | TableRefusal.ACCESS
-            answers.append((number, error, servo.read(address, size, t) if inside else bytes(0), t_free))
-        if instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
-            return [
-                Transmission(dxl.encode_status(number, error, out), t_answer)
-                for number, error, out, t_answer in answers
-            ]
-        answer = _fast_answer(
-            [(number, error, out) for number, error, out, _ in answers], [size for _, _, size in reads]
-        )
-        return [Transmission(answer, answers[0][-1])] if answers else []
+            error = servo.error if is_inside else servo.error | TableRefusal.ACCESS
+            out = servo.read(address, size, t) if is_inside else b""
+            transmissions.append(Transmission(dxl.encode_status(number, error, out), t_free))
+        return transmissions
 
 
 def _address_and_size(data: bytes) -> tuple[int, int]:
     """Decode an address and a size."""
     return int.from_bytes(data[:2], "little"), int.from_bytes(data[2:4], "little")
-
-
-def _bulk_writes(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Id, address and data of each part of a Bulk Write."""
-    while len(data) >= 5:
-        address, size = _address_and_size(data[1:])
-        if len(data) >= 5 + size:
-            yield data[0], address, data[5 : 5 + size]
-        data = data[5 + size :]
-
-
-def _fast_answer(parts: Sequence[tuple[int, int, bytes]], sizes: Sequence[int]) -> bytes:
-    """The joint answer to a fast read: one packet without stuffing, each part with the checksum up to it."""
-    length = 1 + sum(size + 4 for size in sizes)
-    packet = dxl.HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((Instruction.STATUS,))
-    for (number, error, out), size in zip(parts, sizes, strict=False):
-        packet += bytes((error, number)) + out.ljust(size, bytes(1))
-        packet += dxl.crc16(packet).to_bytes(2, "little")
-    return packet
 
 
 EMULATOR: ServoArmFactory = DynamixelArm

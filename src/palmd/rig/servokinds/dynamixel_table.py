@@ -5,7 +5,7 @@ That of an XL430-W250 without indirect addresses. Source: ROBOTIS e-Manual, XL43
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -43,7 +43,6 @@ def _to(most: int, least: int = 0) -> range:
 
 SECONDARY_ID, PROTOCOL = Register(12, 1), Register(13, 1)
 PWM_LIMIT, VELOCITY_LIMIT = Register(36, 2), Register(44, 4)
-REGISTERED = Register(69, 1)
 GOAL_PWM, GOAL_VELOCITY = Register(100, 2, True), Register(104, 4, True)
 
 ENTRIES: tuple[TableEntry, ...] = (
@@ -71,7 +70,7 @@ ENTRIES: tuple[TableEntry, ...] = (
     TableEntry(dxl.TORQUE, 0, _to(1)),
     TableEntry(Register(65, 1), 0, _to(1)),
     TableEntry(dxl.STATUS_LEVEL, 2, _to(2)),
-    TableEntry(REGISTERED),
+    TableEntry(Register(69, 1)),
     TableEntry(dxl.HARDWARE_ERROR),
     TableEntry(Register(76, 2), 1000, _to(16383)),
     TableEntry(Register(78, 2), 100, _to(16383)),
@@ -103,8 +102,8 @@ _BY_ADDRESS = {entry.register.address: entry for entry in ENTRIES}
 _GOALS = (GOAL_PWM, GOAL_VELOCITY, dxl.GOAL)
 
 
-def values_in(address: int, data: bytes) -> Iterator[tuple[TableEntry, int]] | TableRefusal:
-    """The registers that `data` covers from an address on, each with its value; or why that cannot be written."""
+def refusal(address: int, data: bytes, get: Callable[[Register], int]) -> TableRefusal | None:
+    """Why a servo, whose registers `get` returns, refuses this write; None if it accepts."""
     entries, position, end = [], address, address + len(data)
     while position < end:
         entry = _BY_ADDRESS.get(position)
@@ -112,19 +111,11 @@ def values_in(address: int, data: bytes) -> Iterator[tuple[TableEntry, int]] | T
             return TableRefusal.ACCESS
         if entry.register.end > end:
             return TableRefusal.LENGTH
-        raw = data[position - address : entry.register.end - address]
-        entries.append((entry, int.from_bytes(raw, "little", signed=entry.register.signed)))
+        entries.append(entry)
         position = entry.register.end
-    return iter(entries)
-
-
-def refusal(address: int, data: bytes, get: Callable[[Register], int]) -> TableRefusal | None:
-    """Why a servo, whose registers `get` returns, refuses this write; None if it accepts."""
-    values = values_in(address, data)
-    if isinstance(values, TableRefusal):
-        return values
-    for entry, value in values:
+    for entry in entries:
         register = entry.register
+        value = register.decode(data[register.address - address : register.end - address])
         if register.address < dxl.EEPROM_END and get(dxl.TORQUE):
             return TableRefusal.ACCESS
         if value not in entry.allowed or (register in _GOALS and get(dxl.WATCHDOG) < 0):

@@ -22,18 +22,21 @@ from palmd.devices.feetech import BROADCAST, FeetechError, FeetechInstruction, p
 from palmd.devices.servobus import Packet, PacketReader, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Transmission
-from palmd.rig.servos import RADIANS_PER_COUNT, REBOOT_S, ServoArm, ServoArmFactory, ServoShaft, servos_with_directions
+from palmd.rig.servos import (
+    RADIANS_PER_COUNT,
+    REBOOT_S,
+    CommonRegisters,
+    ServoArm,
+    ServoArmFactory,
+    ServoShaft,
+    servos_with_directions,
+)
 
 COMPLIANCE_RAD_N_M = math.radians(2.2) / 1.04
 """1.8 to 2.6° under 1.5 kg at 10 cm and 45° (SO-ARM100 issue 134)."""
 
 FASTEST = 3000  # counts/s if no speed is given: 45 to 46 turns a minute
 BAUD_CODES: Mapping[int, int] = {1000000: 0, 115200: 4}
-_HARDWARE_ERRORS = {
-    "overload": FeetechError.OVERLOAD,
-    "overheat": FeetechError.HOT,
-    "undervoltage": FeetechError.VOLTAGE,
-}
 _FACTORY: Mapping[Register, int] = {
     sts.FIRMWARE: 3,
     sts.MODEL: 777,
@@ -52,6 +55,11 @@ _READ_ONLY = (range(5), range(56, sts.TABLE_BYTES))
 class FeetechServo(ServoShaft):
     """One servo: its register table, and a shaft with friction."""
 
+    registers = CommonRegisters(sts.ID, sts.BAUD, sts.TORQUE, sts.STATUS, sts.UNLOADING)
+    hardware_errors = {  # noqa: RUF012
+        "overload": FeetechError.OVERLOAD, "overheat": FeetechError.HOT, "undervoltage": FeetechError.VOLTAGE,
+    }  # fmt: skip
+
     def __init__(
         self, config: ServoConfig, direction: float, friction_rad: float, baud_code: int, rng: np.random.Generator,
         t: float,
@@ -67,23 +75,6 @@ class FeetechServo(ServoShaft):
         self._t_stepped = t
         self._set(sts.GOAL, round(self._shaft.goal(t)))
 
-    def get(self, register: Register) -> int:
-        """A register's value."""
-        return register.decode(self._table[register.address : register.end])
-
-    def _set(self, register: Register, value: int) -> None:
-        self._table[register.address : register.end] = register.encode(value)
-
-    @property
-    def id(self) -> int:
-        """Its number on the bus."""
-        return self.get(sts.ID)
-
-    @property
-    def torque(self) -> bool:
-        """Whether its torque is enabled."""
-        return bool(self.get(sts.TORQUE))
-
     @property
     def has_failed(self) -> bool:
         """Whether its status reports a hardware error."""
@@ -93,10 +84,6 @@ class FeetechServo(ServoShaft):
     def follows(self) -> bool:
         """The same as its torque: it has no separate state."""
         return self.torque
-
-    def is_listening(self, baud_code: int, t: float) -> bool:
-        """Whether it receives and answers on a bus of this speed."""
-        return t >= self._t_ready and self.get(sts.BAUD) == baud_code
 
     def step(self, t: float) -> None:
         """End the motion when it is due, and yield under load."""
@@ -116,14 +103,6 @@ class FeetechServo(ServoShaft):
             )
             self._compliance_counts += step
             self._go(self._shaft.goal(t) + step, FASTEST, t)
-
-    def fail(self, trouble: str, t: float) -> None:
-        """Raise a hardware error; torque goes off if the mask says so."""
-        error = _HARDWARE_ERRORS[trouble]
-        self._set(sts.STATUS, self.get(sts.STATUS) | error)
-        if self.get(sts.UNLOADING) & error:
-            self._set(sts.TORQUE, 0)
-            self._stop(t)
 
     def restart(self, t: float, silent_s: float = REBOOT_S) -> None:
         """Restart as after a loss of power: settings that were not stored return to factory values."""
