@@ -16,23 +16,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
-from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import (
     _DRIFT_RATE,
-    AS_ASSUMED,
-    PAD_LENGTH,
     BodyState,
     FrictionSurface,
     Hinge,
     PadPair,
     PalmFrame,
     Plant,
-    PlantOptions,
     _Rates,
     palm_frame,
 )
@@ -83,29 +79,16 @@ class _CurvedContact(NamedTuple):
 class CurvedPlant(Plant):
     """As `Plant`, on palms of signed `curvatures` (1/m, > 0 concave)."""
 
-    def __init__(
-        self,
-        body: Body,
-        hinge: Hinge,
-        surface: FrictionSurface,
-        curvatures: PadPair,
-        *,
-        options: PlantOptions = AS_ASSUMED,
-        imperfections: Imperfections = PERFECT,
-        gravity: float = 9.81,
-        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
-    ) -> None:
-        """Raises ValueError for palms too strongly concave for the body, which would then touch a palm twice."""
+    def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, **others: Any) -> None:
+        """As `Plant`; raises ValueError for palms so concave that the body would touch one twice."""
         worst = max(curvatures) * max_curvature_radius(body)
         if worst >= _TWO_CONTACTS_RATIO:
             raise ValueError(
                 f"the palms are too concave for the body: kappa v is {worst:.2f}, must be below {_TWO_CONTACTS_RATIO}"
             )
-        super().__init__(
-            body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
-        )
+        super().__init__(body, hinge, surface, **others)
         self._bowed, self._planes = False, ((0.0, 0.0), (0.0, 0.0))  # bows are part of the arcs
-        one, two = imperfections.pads
+        (one, two), reach = self._pads, self.reach
         self._standoffs = one.standoff, two.standoff
         self._slopes = 4.0 * one.sagitta / reach[0], -4.0 * two.sagitta / reach[1]
         self._kappa = (

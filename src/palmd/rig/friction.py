@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.dry_plant import DryPlant
-from palmd.rig.imperfections import PERFECT, Imperfections
-from palmd.rig.plant import AS_ASSUMED, PAD_LENGTH, FrictionLaw, FrictionSurface, Hinge, PadPair, Plant, PlantOptions
+from palmd.rig.plant import AS_ASSUMED, FrictionLaw, FrictionSurface, Hinge, PadPair, Plant, PlantOptions
 from palmd.rig.shaker import Shaking, drawn_shaking
 from palmd.rig.shapes import Body, Support
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
@@ -57,49 +57,32 @@ def plant_on(
     *,
     options: PlantOptions = AS_ASSUMED,
     shaking: Shaking | None = None,
-    imperfections: Imperfections = PERFECT,
-    gravity: float = 9.81,
-    reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
+    **others: Any,
 ) -> Plant:
     """The plant for the law that the options state, or else for palms that vibrate by `shaking`, or for the old law.
 
-    Raises ValueError for palms too concave for the body, and for dry friction on arcs.
+    others: see `Plant`. Raises ValueError for palms too concave for the body, and for dry friction on arcs.
     """
-    curved = any(curvatures)
+    curved, others = any(curvatures), others | {"options": options}
     if options.physics == "mujoco":
         if curved:
             raise ValueError("MuJoCo emulates flat palms only")
         from palmd.rig.mujoco_plant import MujocoPlant  # an optional package
 
-        return MujocoPlant(
-            body, hinge, surface, shaking, options=options, imperfections=imperfections, gravity=gravity, reach=reach
-        )
+        return MujocoPlant(body, hinge, surface, shaking, **others)
     law = options.friction_law or ("averaged" if shaking is None else "resolved")
     if law == "coulomb" and curved and surface.mu:
         raise ValueError("friction without vibration is emulated on flat palms only")
     if law in ("resolved", "sign_pairs") and shaking is None:
         raise ValueError(f"the law of friction {law!r} needs palms that vibrate")
     if law == "coulomb" and not curved:
-        return DryPlant(
-            body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
-        )
+        return DryPlant(body, hinge, surface, **others)
     if shaking is None or law in ("averaged", "coulomb") or not surface.mu:
         if curved:
-            return CurvedPlant(
-                body, hinge, surface, curvatures,
-                options=options, imperfections=imperfections, gravity=gravity, reach=reach,
-            )  # fmt: skip
-        return Plant(body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach)
+            return CurvedPlant(body, hinge, surface, curvatures, **others)
+        return Plant(body, hinge, surface, **others)
     if law == "resolved" and isinstance(body.support, Support):
-        return VibratingPlant(
-            body, hinge, surface, shaking, curvatures,
-            options=options, imperfections=imperfections, gravity=gravity, reach=reach,
-        )  # fmt: skip
+        return VibratingPlant(body, hinge, surface, shaking, curvatures, **others)
     if curved:
-        return CurvedSignPairsPlant(
-            body, hinge, surface, curvatures, shaking,
-            options=options, imperfections=imperfections, gravity=gravity, reach=reach,
-        )  # fmt: skip
-    return SignPairsPlant(
-        body, hinge, surface, shaking, options=options, imperfections=imperfections, gravity=gravity, reach=reach
-    )
+        return CurvedSignPairsPlant(body, hinge, surface, shaking, curvatures=curvatures, **others)
+    return SignPairsPlant(body, hinge, surface, shaking, **others)

@@ -15,25 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.ellipses import ellipse_of
-from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.mean_turning import MeanTurning
-from palmd.rig.plant import (
-    AS_ASSUMED,
-    PAD_LENGTH,
-    FrictionSurface,
-    Hinge,
-    PadPair,
-    Plant,
-    PlantContact,
-    PlantOptions,
-    palm_frame,
-)
+from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantContact, palm_frame
 from palmd.rig.shaker import STILL, Shaker, Shaking
 from palmd.rig.shapes import Body
 from palmd.rig.vibrating_plant import FORCE_LAG_S
@@ -118,16 +108,11 @@ class MujocoPlant(Plant):
         surface: FrictionSurface,
         shaking: Shaking | None,
         *,
-        options: PlantOptions = AS_ASSUMED,
-        imperfections: Imperfections = PERFECT,
-        gravity: float = 9.81,
-        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
         step_s: float = STEP_S,
+        **others: Any,
     ) -> None:
         """step_s: largest step of the engine. Raises ValueError for a body that is no ellipse."""
-        super().__init__(
-            body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
-        )
+        super().__init__(body, hinge, surface, **others)
         self._shakers = shaking.palms if shaking else (STILL,) * len(PALMS)
         self._step_s, frictions = step_s, [surface.mu * each for each in self._frictions]
         model = self._model = mujoco.MjModel.from_xml_string(

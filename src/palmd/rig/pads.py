@@ -52,8 +52,7 @@ class Press:
 class PadEmulator(ABC):
     """One pad of any kind. `due` is the time of the next report, `report` returns what is then sent."""
 
-    baud: int | None
-    """Baud rate of its line; None if it has none."""
+    _config: PadBase
 
     def __init__(
         self,
@@ -62,27 +61,26 @@ class PadEmulator(ABC):
         reading_error_m: Callable[[float, float], float],
         rng: np.random.Generator,
         t: float,
-        *,
-        min_interval_s: float,
-        noise_m: float,
     ) -> None:
-        """`reading_error_m`: position error (m) by distance (m) and force (N); the pad's clock starts soon after t (s).
-
-        min_interval_s: between reports.
-        """
+        """`reading_error_m`: position error (m) by distance (m) and force (N); the clock starts soon after t (s)."""
         self.packets = 0
-        self._base, self._options, self._reading_error_m, self._rng = config, options, reading_error_m, rng
-        self._min_interval_s, self._noise_m = min_interval_s, noise_m
+        self._config, self._options, self._reading_error_m, self._rng = config, options, reading_error_m, rng
         self._t_last = t
         self._was_touched = False
         self._drift = float(rng.normal(0.0, options.force_drift))
         self._lagging_force = 0.0
         self.due = t + float(rng.uniform(0.0, 0.01))
+        self._begin(t)
+
+    @property
+    @abstractmethod
+    def baud(self) -> int | None:
+        """Baud rate of its line; None if it has none."""
 
     def report(self, t: float, presses: list[Press]) -> bytes:
         """The bytes sent at t (s) for these contacts; empty if the pad sends nothing."""
         self._drift_to(t)
-        self.due = max(self.due + self._interval(), t + self._min_interval_s)
+        self.due = max(self.due + self._interval(), t + self._min_interval())
         contacts = [press for press in presses if self._is_detected(press)]
         if not contacts:
             was_lifted, self._was_touched, self._lagging_force = self._was_touched, False, 0.0
@@ -108,9 +106,21 @@ class PadEmulator(ABC):
     def make_decoder(self) -> Decoder:
         """A new decoder of what the pad sends."""
 
+    def _begin(self, t: float) -> None:  # noqa: B027
+        """Initialise what only this kind has, at t (s)."""
+
     @abstractmethod
     def _interval(self) -> float:
         """Time until the next report (s)."""
+
+    def _min_interval(self) -> float:
+        """Shortest time between reports (s)."""
+        return 0.0
+
+    @property
+    def _noise_m(self) -> float:
+        """Standard deviation of a position (m)."""
+        return self._config.noise_mm * 1e-3
 
     @abstractmethod
     def _contact_report(self, t: float, contacts: list[Press]) -> bytes:
@@ -121,7 +131,7 @@ class PadEmulator(ABC):
         """The report without contacts; `lifted` if there was one at the previous report."""
 
     def _is_detected(self, press: Press) -> bool:
-        on_pad = 0.0 < press.s < self._base.length_mm * 1e-3 and abs(press.across) < 0.5 * WIDTH_M
+        on_pad = 0.0 < press.s < self._config.length_mm * 1e-3 and abs(press.across) < 0.5 * WIDTH_M
         return on_pad and press.force > self._options.dead_band_n
 
     def _measured_position_m(self, s: float, force: float) -> float:
@@ -147,22 +157,10 @@ class PadEmulator(ABC):
 class CountingPad(PadEmulator):
     """A pad that merges its contacts into one point and reports it in counts."""
 
-    def __init__(
-        self,
-        config: PadBase,
-        options: PadOptions,
-        reading_error_m: Callable[[float, float], float],
-        rng: np.random.Generator,
-        t: float,
-        *,
-        counts: tuple[int, int],
-        full_scale: int,
-        min_interval_s: float,
-        noise_m: float,
-    ) -> None:
-        """See `PadEmulator`. counts: smallest and largest position; full_scale: largest pressure."""
-        self._range, self._full_scale = counts, full_scale
-        super().__init__(config, options, reading_error_m, rng, t, min_interval_s=min_interval_s, noise_m=noise_m)
+    _range: tuple[int, int]
+    """Smallest and largest position (counts)."""
+    _full_scale: int
+    """Largest pressure (counts)."""
 
     @abstractmethod
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:
@@ -175,7 +173,7 @@ class CountingPad(PadEmulator):
         return self._touch_report(t, counts, across, self._pressure(total))
 
     def _counts(self, s: float, force: float) -> int:
-        config = self._base
+        config = self._config
         counts = round(
             config.sign * (self._measured_position_m(s, force) * 1e3 - config.zero_mm) * config.counts_per_mm
         )
@@ -183,10 +181,10 @@ class CountingPad(PadEmulator):
 
     def _counts_across(self, across: float) -> int:
         jitter = int(self._rng.integers(-ACROSS_JITTER_COUNTS, ACROSS_JITTER_COUNTS + 1))
-        return min(max(round(across * 1e3 * self._base.counts_per_mm) + jitter, self._range[0]), self._range[1])
+        return min(max(round(across * 1e3 * self._config.counts_per_mm) + jitter, self._range[0]), self._range[1])
 
     def _pressure(self, force: float) -> int:
-        counts = round(self._measured_force_n(force) / self._base.newtons_per_count)
+        counts = round(self._measured_force_n(force) / self._config.newtons_per_count)
         return min(max(counts, 1), self._full_scale)
 
 

@@ -14,7 +14,7 @@ from itertools import product
 from typing import Any
 
 from palmd.rig.curved_plant import CurvedPlant
-from palmd.rig.plant import FrictionSurface, Hinge, PadPair, PalmFrame, Plant, _Rates
+from palmd.rig.plant import FrictionSurface, Hinge, PalmFrame, Plant, _Rates
 from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import Body
 from palmd.system.vibration import Relation
@@ -57,13 +57,10 @@ class SignPairsPlant(Plant):
 
     def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, shaking: Shaking, **others: Any) -> None:
         """See `Plant`."""
-        self._set_shaking(shaking)
-        super().__init__(body, hinge, surface, **others)
-
-    def _set_shaking(self, shaking: Shaking) -> None:
         self._shaking = shaking
         self._slips: list[float] | None = None
         self._signs: list[float] = []
+        super().__init__(body, hinge, surface, **others)
 
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
         arguments = frame, x, y, psi, vx, vy, w
@@ -142,14 +139,7 @@ class SignPairsPlant(Plant):
 
 
 class CurvedSignPairsPlant(SignPairsPlant, CurvedPlant):
-    """As `SignPairsPlant`, on arcs."""
-
-    def __init__(
-        self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, shaking: Shaking, **others: Any
-    ) -> None:
-        """See `CurvedPlant`."""
-        self._set_shaking(shaking)
-        CurvedPlant.__init__(self, body, hinge, surface, curvatures, **others)
+    """As `SignPairsPlant`, on arcs of `curvatures`, see `CurvedPlant`."""
 
     def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:
         del frame

@@ -25,7 +25,6 @@ import numpy as np
 from palmd.events import FloatArray, PalmMotion
 from palmd.model.compiled import load
 from palmd.rig.curved_plant import CurvedPlant
-from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.mean_turning import MeanTurning
 from palmd.rig.plant import (
     _DRIFT_RATE,
@@ -33,12 +32,10 @@ from palmd.rig.plant import (
     _SEPARATION_SPEED,
     _SOFT_IMPACT,
     _TABLE_HZ,
-    PAD_LENGTH,
     FrictionSurface,
     Hinge,
     PadPair,
     PlantContact,
-    PlantOptions,
     palm_frame,
 )
 from palmd.rig.shaker import SLIP_SIGNS, Shaking
@@ -143,11 +140,7 @@ class VibratingPlant(CurvedPlant):
         surface: FrictionSurface,
         shaking: Shaking,
         curvatures: PadPair = FLAT,
-        *,
-        options: PlantOptions,
-        imperfections: Imperfections = PERFECT,
-        gravity: float = 9.81,
-        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
+        **others: Any,
     ) -> None:
         """As `CurvedPlant`; raises ValueError for a body that is not smooth."""
         if not isinstance(body.support, Support):
@@ -155,10 +148,7 @@ class VibratingPlant(CurvedPlant):
         self.shaking = shaking
         self._turning = MeanTurning(shaking.period_s)
         self._t_touched = [-math.inf] * _CONTACTS
-        super().__init__(
-            body, hinge, surface, curvatures,
-            options=options, imperfections=imperfections, gravity=gravity, reach=reach,
-        )  # fmt: skip
+        super().__init__(body, hinge, surface, curvatures, **others)
         self._memory, self._scene = _Body(), self._compiled_scene()
 
     # -- placement and state ------------------------------------------------------------------------------

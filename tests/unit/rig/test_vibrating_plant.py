@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantOptions
+from palmd.rig.plant import FrictionSurface, Hinge, Plant
 from palmd.rig.shaker import SLIP_SIGNS, Mount, Shaker, Shaking
 from palmd.rig.shapes import Body, ellipse
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
@@ -60,7 +60,7 @@ def history(plant, seconds, share=1.0, psi=0.9):
 
 
 def resolved(relation, mu=0.2, **others):
-    return VibratingPlant(BODY, FIXED, FrictionSurface(mu), shaking(relation, **others), options=PlantOptions())
+    return VibratingPlant(BODY, FIXED, FrictionSurface(mu), shaking(relation, **others))
 
 
 def averaged(relation, mu=0.2, **others):
@@ -146,8 +146,8 @@ def test_a_pad_on_a_soft_mount_transmits_the_alternation_by_its_mass():
 
 def test_arcs_vibrate_too():
     curvatures, surface, shaken = (10.0, -6.0), FrictionSurface(0.2), shaking("independent")
-    here = history(VibratingPlant(BODY, FIXED, surface, shaken, curvatures, options=PlantOptions()), 1.0)
-    there = history(CurvedSignPairsPlant(BODY, FIXED, surface, curvatures, shaken), 1.0)
+    here = history(VibratingPlant(BODY, FIXED, surface, shaken, curvatures), 1.0)
+    there = history(CurvedSignPairsPlant(BODY, FIXED, surface, shaken, curvatures=curvatures), 1.0)
     old = history(Plant(BODY, FIXED, surface), 1.0)
     assert apart_deg(here, there) < 0.15
     assert apart_deg(here, old) > 1.0

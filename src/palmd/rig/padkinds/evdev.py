@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
-
 from palmd.config.pads import EvdevConfig
 from palmd.devices import evdev
 from palmd.devices.evdev import EvdevReader, Record
-from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
+from palmd.rig.pads import CountingPad, EmulatorFactory
 
 REPORT_S, JITTER_S = 0.010, 0.001
 PRESSURE_MAX = 255
@@ -22,22 +18,12 @@ its state, and the host may have flushed the first report when it opened the por
 class EvdevEmulator(CountingPad):
     """Reports only what has changed; noise as configured, without pressure if so configured."""
 
-    def __init__(
-        self,
-        config: EvdevConfig,
-        options: PadOptions,
-        reading_error_m: Callable[[float, float], float],
-        rng: np.random.Generator,
-        t: float,
-    ) -> None:
-        """See `PadEmulator`."""
-        self.baud = None
-        self._config = config
+    _config: EvdevConfig
+    _range, _full_scale = (-POSITION_LIMIT, POSITION_LIMIT), PRESSURE_MAX
+    baud = None
+
+    def _begin(self, t: float) -> None:  # noqa: ARG002
         self._reported: dict[int, int] = {}
-        super().__init__(
-            config, options, reading_error_m, rng, t, counts=(-POSITION_LIMIT, POSITION_LIMIT), full_scale=PRESSURE_MAX,
-            min_interval_s=REPORT_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
-        )  # fmt: skip
 
     def make_decoder(self) -> EvdevReader:
         """A new decoder of its records."""
@@ -55,6 +41,9 @@ class EvdevEmulator(CountingPad):
 
     def _interval(self) -> float:
         return REPORT_S + float(self._rng.normal(0.0, JITTER_S))
+
+    def _min_interval(self) -> float:
+        return REPORT_S - 5 * JITTER_S
 
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:
         x, y = (counts, across) if self._config.axis == "x" else (across, counts)

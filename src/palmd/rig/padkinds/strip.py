@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
-
 from palmd.config.pads import StripConfig
 from palmd.devices.strip import FORCE_MAX, POSITION_MAX, TOUCHED_S, UNTOUCHED_S, StripDecoder, encode
-from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
+from palmd.rig.pads import CountingPad, EmulatorFactory
 
 JITTER_S = 1e-4
 
@@ -16,34 +12,27 @@ JITTER_S = 1e-4
 class StripEmulator(CountingPad):
     """A strip: reports at a constant rate, more slowly while it is not touched; noise as configured."""
 
-    def __init__(
-        self,
-        config: StripConfig,
-        options: PadOptions,
-        reading_error_m: Callable[[float, float], float],
-        rng: np.random.Generator,
-        t: float,
-    ) -> None:
-        """See `PadEmulator`."""
-        self.baud = config.baud
-        self._sequence = 0
+    _config: StripConfig
+    _range, _full_scale = (0, POSITION_MAX), FORCE_MAX
+    _sequence = 0
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of its line."""
+        return self._config.baud
+
+    def _begin(self, t: float) -> None:
         self._t_idle_report = t
-        super().__init__(
-            config, options, reading_error_m, rng, t, counts=(0, POSITION_MAX), full_scale=FORCE_MAX,
-            min_interval_s=TOUCHED_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
-        )  # fmt: skip
 
     def make_decoder(self) -> StripDecoder:
         """A new decoder of its packets."""
-        return StripDecoder(self._line_baud)
-
-    @property
-    def _line_baud(self) -> int:
-        assert self.baud is not None, "a strip has a serial line"
-        return self.baud
+        return StripDecoder(self.baud)
 
     def _interval(self) -> float:
         return TOUCHED_S + float(self._rng.normal(0.0, JITTER_S))
+
+    def _min_interval(self) -> float:
+        return TOUCHED_S - 5 * JITTER_S
 
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
         return self._packet(counts, pressure, touched=True)

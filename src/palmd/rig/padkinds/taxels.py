@@ -7,7 +7,6 @@ Width and taxel sensitivities are drawn about the configured values; the host as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from palmd.devices import taxels
 from palmd.devices.framing import FrameScanner, Head
 from palmd.devices.taxels import TaxelDecoder, modbus_crc, modbus_frame, tsf85_field, tsf85_frame
 from palmd.events import FloatArray
-from palmd.rig.pads import EmulatorFactory, PadEmulator, PadOptions, Press
+from palmd.rig.pads import EmulatorFactory, PadEmulator, Press
 
 JITTER_S = 2e-4
 ANSWER_S = 2e-4  # from the end of the request to the start of the answer
@@ -28,19 +27,16 @@ COUNT_SD = 0.3  # noise of a taxel, in counts
 class TaxelEmulator(PadEmulator):
     """A taxel array with noise as configured, which speaks the configured protocol."""
 
-    def __init__(
-        self,
-        config: TaxelsConfig,
-        options: PadOptions,
-        reading_error_m: Callable[[float, float], float],
-        rng: np.random.Generator,
-        t: float,
-    ) -> None:
-        """See `PadEmulator`."""
-        self.baud = config.line_baud
-        self._config = config
+    _config: TaxelsConfig
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of its line."""
+        return self._config.line_baud
+
+    def _begin(self, t: float) -> None:  # noqa: ARG002
+        config, rng = self._config, self._rng
         self._protocol = _PROTOCOLS[config.protocol](config)
-        super().__init__(config, options, reading_error_m, rng, t, min_interval_s=0.0, noise_m=config.noise_mm * 1e-3)
         self._width_mm = config.contact_width_mm * math.exp(WIDTH_SD * float(rng.standard_normal()))
         self._gains = 1.0 + config.taxel_gain_sd * rng.standard_normal((config.rows, config.columns))
         self.due = self._protocol.due(self.due, 0.0)

@@ -7,7 +7,6 @@ own clock.
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Callable
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from palmd.devices.versapad import (
     VersaPadDecoder,
     encode_packet,
 )
-from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
+from palmd.rig.pads import CountingPad, EmulatorFactory
 
 PACKET_S = 0.00625  # at 9600 baud; the pad does not measure faster on a faster line
 # with the jitter cut off below one packet time: mean 10.0 ms, standard deviation 4.7 ms
@@ -34,24 +33,23 @@ _IDENTITY_S = 0.5
 class VersaPadEmulator(CountingPad):
     """A VersaPad: reports in three bands while it is touched, and optionally once more on lift-off."""
 
-    def __init__(
-        self,
-        config: VersaPadConfig,
-        options: PadOptions,
-        reading_error_m: Callable[[float, float], float],
-        rng: np.random.Generator,
-        t: float,
-    ) -> None:
-        """See `PadEmulator`."""
-        pressure = config.pressure
-        self.baud = config.baud
-        self._config = config
+    _config: VersaPadConfig
+    _range = (COUNT_MIN, COUNT_MAX)
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of its line."""
+        return self._config.baud
+
+    @property
+    def _noise_m(self) -> float:
+        return self._options.noise_m
+
+    def _begin(self, t: float) -> None:  # noqa: ARG002
+        pressure = self._config.pressure
         self._format = PressureFormat(pressure.byte, pressure.mask, pressure.shift, pressure.invert)
-        self._packet_s = max(PACKET_S, PACKET_BYTES * 10.0 / config.baud)
-        super().__init__(
-            config, options, reading_error_m, rng, t, counts=(COUNT_MIN, COUNT_MAX),
-            full_scale=self._format.full_scale, min_interval_s=self._packet_s, noise_m=options.noise_m,
-        )  # fmt: skip
+        self._full_scale = self._format.full_scale
+        self._packet_s = max(PACKET_S, PACKET_BYTES * 10.0 / self.baud)
 
     def greeting(self) -> list[tuple[bytes, float]]:
         """The identity, once for each break of the configured handshake."""
@@ -60,11 +58,14 @@ class VersaPadEmulator(CountingPad):
 
     def make_decoder(self) -> VersaPadDecoder:
         """A new decoder of its packets."""
-        return VersaPadDecoder(self._config.baud)
+        return VersaPadDecoder(self.baud)
 
     def _interval(self) -> float:
         band = 1 + bisect(_BANDS_UP_TO, self._rng.random())  # as `choice(3, p=BAND_WEIGHTS)`, but much faster
         return max(self._packet_s, band * self._packet_s + float(self._rng.normal(0.0, BAND_JITTER_S)))
+
+    def _min_interval(self) -> float:
+        return self._packet_s
 
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
         x, y = (counts, across) if self._config.axis == "x" else (across, counts)

@@ -11,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config.three_palms import ThreePalmsConfig
+from palmd.config.three_palms import PlanePadConfig, ThreePalmsConfig
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
+from palmd.rig.imperfections import PadImperfection
+from palmd.rig.padkinds.versapad import VersaPadEmulator
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
-from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters, TurningPalms
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
@@ -37,6 +38,23 @@ MASS_KG = (0.04, 0.12)
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
 _AT_REST = (0.0,) * len(JOINTS)
 _NO_READINGS = [[math.nan, math.nan]] * len(PALMS)
+_EXACT = PadImperfection()
+
+
+class PlanePadEmulator(VersaPadEmulator):
+    """A square VersaPad with readings along both axes; `Press.across` is measured from its middle."""
+
+    _config: PlanePadConfig
+
+    def _is_detected(self, press: Press) -> bool:
+        side = self._config.length_mm * 1e-3
+        on_pad = 0.0 < press.s < side and abs(press.across) < 0.5 * side
+        return on_pad and press.force > self._options.dead_band_n
+
+    def _counts_across(self, across: float) -> int:
+        plane = self._config
+        measured_mm = (across + float(self._rng.normal(0.0, self._noise_m))) * 1e3
+        return min(max(round(plane.across_sign * measured_mm * plane.counts_per_mm), self._range[0]), self._range[1])
 
 
 class ThreePalmsWorld(EmulatedRig[TiltArm]):
@@ -59,8 +77,10 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         rng = np.random.default_rng(seed)
         home = tuple(REST_POSE.tolist())
         arm = TiltArm(config, home, rng, step_s=STEP_S)
-        numbered = zip(PALMS, config.pads.planes, strict=True)
-        pads = {f"pad{number}": PlanePadEmulator(pad, pad_options, rng, t) for number, pad in numbered}
+        pads = {
+            f"pad{number}": PlanePadEmulator(pad, pad_options, _EXACT.reading_error_m, rng, t)
+            for number, pad in zip(PALMS, config.pads.planes, strict=True)
+        }
         super().__init__(pads, arm, rng, t)
         self._middles = {f"pad{n}": (p.across_zero_mm * 1e-3) for n, p in zip(PALMS, config.pads.planes, strict=True)}
         self._side = config.pads.palm1.length_mm * 1e-3
