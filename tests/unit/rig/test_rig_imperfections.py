@@ -20,7 +20,6 @@ from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
-from palmd.yamlfile import ConfigError, load_config
 
 RADIUS = 0.02
 STEP = 5e-4
@@ -261,23 +260,6 @@ def test_a_configuration_asks_in_units_of_the_workshop():
     first, second = configured(straight, 1).pads
     assert first.smooth_error == NO_ERROR
     assert second.smooth_error == drawn(rig_description(straight), 1).pads[1].smooth_error != NO_ERROR
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ("perfect", "4:18: rig.imperfections: must be one of none or calibrated; got the text perfect"),
-        ("{palm1: {zero_m: 1}}", "4:27: rig.imperfections.palm1.zero_m: unknown key; did you mean zero_mm?"),
-        ("{friction_asymmetry: 1}", "4:39: rig.imperfections.friction_asymmetry: must be less than 1; got 1"),
-    ],
-)
-def test_a_slip_is_said_once(tmp_path, asked, said):
-    path = tmp_path / "rig.yaml"
-    ports = "pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\n"
-    path.write_text(f"{ports}rig:\n  imperfections: {asked}\n")
-    with pytest.raises(ConfigError) as caught:
-        load_config(path)
-    assert str(caught.value) == f"{path}:{said}"
 
 
 def test_the_play_of_servos_is_not_drawn_as_well():

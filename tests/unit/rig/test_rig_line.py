@@ -57,6 +57,7 @@ def test_bytes_go_both_ways(line):
     assert os.read(host, 1000) == bytes(range(256))
     os.write(host, b"\x00\x11\x13\n\r")
     assert look(line) == (b"\x00\x11\x13\n\r", False)
+    assert (line.bytes_sent, line.bytes_lost, line.bytes_heard) == (256, 0, 5)
     os.close(host)
 
 

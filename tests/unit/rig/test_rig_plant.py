@@ -196,19 +196,3 @@ def test_hard_friction_sticks_where_dither_creeps():
         moved.append(abs(plant.state.psi - start))
     assert moved[0] < 1e-9
     assert moved[1] > 1e-3
-
-
-def test_stable_poses_are_minima_of_the_height():
-    shape = body(4)
-    plant = Plant(shape, FIXED, FrictionSurface())
-
-    def height(psi: float) -> float:
-        plant.place(AT_REST, psi)
-        return plant.state.y
-
-    poses = stable_poses(shape, AT_REST)
-    assert poses
-    for psi in poses:
-        assert height(psi) < min(height(psi - 1e-3), height(psi + 1e-3))
-    lowest = min(height(psi) for psi in np.linspace(0.0, math.tau, 500))
-    assert height(poses[0]) <= lowest

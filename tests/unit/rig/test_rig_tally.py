@@ -1,15 +1,10 @@
 """The rig's own counts: nothing said goes astray, and what mischief does to it is told apart."""
 
 import math
-import os
-import select
-
-import numpy as np
 
 from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_command
 from palmd.devices.versapad import VersaPadDecoder, encode_packet
 from palmd.rig.fault_injection import PORTS, order
-from palmd.rig.line import PtyLine
 from palmd.rig.tally import DeviceTally, HostLines, ReferenceHost
 from palmd.rig.world import World, default_config
 
@@ -70,24 +65,3 @@ def test_every_byte_on_a_line_is_sent_or_still_waiting():
 def lines_in(data):
     reader = LineReader(38400)
     return len(reader.feed(data, math.inf))
-
-
-def test_a_terminal_tells_what_it_took_and_what_it_has_heard(tmp_path):
-    line = PtyLine(tmp_path / "port", 38400, np.random.default_rng(1))
-    assert line.write(b"nobody") == b""
-    line.plug()
-    host = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        line.read(select.POLLIN)
-        assert len(line.write(b"hello")) == 5
-        os.write(host, b"Q01*AB\n")
-        poll = select.poll()
-        poll.register(line.fileno)
-        heard = b""
-        while len(heard) < 7:
-            ((_, events),) = poll.poll(1000)
-            heard += line.read(events)[0]
-        assert (line.bytes_sent, line.bytes_lost, line.bytes_heard) == (5, 6, 7)
-    finally:
-        os.close(host)
-        line.unplug()

@@ -89,18 +89,8 @@ def test_nothing_is_lost_or_refused_in_quiet(long_run):
     status = long_run.status
     assert status["arm_state"] == "T"
     assert status["setpoints"] == status["accepted"] > 300
-    for name in (
-        "crc_errors",
-        "unparsable",
-        "superseded",
-        "clamped",
-        "braked",
-        "contact_losses",
-        "falls",
-        "jams",
-    ):
-        assert status[name] == 0, name
-    assert status["setpoints_outside_limits"] == 0
+    none = ("crc_errors", "unparsable", "superseded", "clamped", "braked", "contact_losses", "falls", "jams")
+    assert [status[name] for name in (*none, "setpoints_outside_limits")] == [0] * 9
     assert status["largest_rate_deg_s"] < 60.0
     assert status["largest_tool_error_deg"] < 0.05
 
@@ -137,25 +127,6 @@ def test_a_packets_first_byte_arrives_when_it_was_measured():
             arrived.append(k * 1e-4)
     assert len(arrived) > 20
     np.testing.assert_allclose(arrived, measured[: len(arrived)], atol=2e-4)
-
-
-def test_the_arm_lags_by_some_forty_milliseconds(long_run):
-    t, phi1 = (np.array(values) for values in long_run.true("phi1_rad"))
-    tracked = t > long_run.t_tracking + 1.2
-    u = t[tracked] - long_run.t_tracking
-
-    def misfit(lag):
-        wanted = math.radians(45.0) + math.radians(15.0) * np.sin(2 * math.pi * 0.4 * (u - lag))
-        return float(np.std(phi1[tracked] - wanted))
-
-    lags = np.arange(0.0, 0.1, 0.001)
-    assert 0.030 <= min(lags, key=misfit) <= 0.055
-
-
-def test_true_rates_are_derivatives_of_the_angles(long_run):
-    t, phi2 = (np.array(values) for values in long_run.true("phi2_rad"))
-    _, omega2 = (np.array(values) for values in long_run.true("omega2_rad_s"))
-    np.testing.assert_allclose(np.gradient(phi2, t)[5:-5], omega2[5:-5], atol=5e-3)
 
 
 def test_the_same_seed_and_input_give_the_same_bytes():
@@ -244,16 +215,10 @@ def test_the_operator_takes_and_gives_back(name, state, after):
         assert loop.host.last_error == -621
 
 
-def test_manual_displaces_the_arm():
-    loop = Loop(rocking=False).run(0.1)
-    loop.mischief("manual")
-    loop.run(1.0)
-    assert math.degrees(loop.world.truth()["phi1_rad"]) == pytest.approx(49.0, abs=0.1)
-
-
 def test_manual_again_and_again_leaves_the_palms_within_their_limits():
     loop = Loop(rocking=False).run(0.1)
     low, high = CONFIG.limits.phi1_deg
+    away_deg = []
     for _ in range(6):
         loop.mischief("manual")
         loop.run(1.0)
@@ -261,7 +226,9 @@ def test_manual_again_and_again_leaves_the_palms_within_their_limits():
         loop.run(0.1)
         phi1_deg = math.degrees(loop.world.truth()["phi1_rad"])
         assert low < phi1_deg < high
-        assert abs(phi1_deg - 45.0) < 4.5
+        away_deg.append(phi1_deg - 45.0)
+    assert away_deg[0] == pytest.approx(4.0, abs=0.1)
+    assert max(map(abs, away_deg)) < 4.5
 
 
 def test_a_break_on_the_line_faults_the_moving_arm():
@@ -343,16 +310,6 @@ def test_swapping_gives_another_body():
     assert loop.status["on_palms"]
     assert loop.status["object"] == 2
     assert loop.world.object_truth()["h_m"] != before
-
-
-def test_unplug_is_for_whoever_holds_the_ports():
-    loop = Loop(rocking=False)
-    loop.mischief("unplug", port="pad2", for_s=0.2)
-    loop.run(0.1)
-    assert loop.world.unplugged("pad2")
-    assert not loop.world.unplugged("pad1")
-    loop.run(0.2)
-    assert not loop.world.unplugged("pad2")
 
 
 def test_a_pad_with_a_handshake_tells_its_identity_after_each_break():

@@ -1,14 +1,9 @@
-"""The emulated servos, asked by the maker's own program library: in virtual time, and once over a pseudo-terminal."""
+"""The emulated servos, asked by the maker's own program library in virtual time."""
 
 import math
-import os
-import select
-import threading
-import time
 
 import numpy as np
 import pytest
-import terminals
 from servo_bench import HOME, tabletop
 
 from palmd.rig.line import Wire
@@ -235,38 +230,3 @@ def test_a_homing_offset_is_in_the_position_and_in_the_goal(bus, port):
     write(bus, port, 1, TORQUE, 1)
     port.pass_time(1.0)
     assert port.arm._servos[0].at(port.t)[0] == pytest.approx(HOME[0], abs=math.radians(0.5)), "it has not moved"
-
-
-def test_over_a_pseudo_terminal():
-    config, over = tabletop(), threading.Event()
-    with terminals.line() as (master, path):
-        t0 = time.monotonic()
-        arm = DynamixelArm(config, config.arm, HOME, np.random.default_rng(1), t0)
-
-        def serve():
-            while not over.is_set():
-                if select.select([master], [], [], 0.001)[0]:
-                    data = os.read(master, 4096)
-                    arm.receive(data, data, time.monotonic())
-                for said in arm.step(time.monotonic()):
-                    os.write(master, said.data)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        port, bus = sdk.PortHandler(path), sdk.PacketHandler(2.0)
-        try:
-            assert port.openPort()
-            assert port.setBaudRate(1_000_000)
-            t_end = time.monotonic() + 30.0
-            while not is_there(bus, port, 2) and time.monotonic() < t_end:
-                pass
-            group, result = sdk.GroupSyncRead(port, bus, MAX, 4), None
-            for servo in (1, 2):
-                group.addParam(servo)
-            while result != sdk.COMM_SUCCESS and time.monotonic() < t_end:
-                result = group.txRxPacket()
-            assert values(group, 1, 2, address=MAX) == [4095, 4095]
-        finally:
-            over.set()
-            thread.join()
-            port.closePort()
