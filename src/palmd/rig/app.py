@@ -48,18 +48,16 @@ from palmd.rig.fault_injection import (
     order,
     parse,
 )
-from palmd.rig.line import LineWaiter, PtyLine, SocketLine
+from palmd.rig.line import EmulatedLine, LineWaiter, PtyLine, SocketLine
 from palmd.rig.plant import AS_ASSUMED, PHYSICS
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import EVERY_KIND, Body, cylinder
-from palmd.rig.tally import ReferenceHost
+from palmd.rig.tally import Decoder
 from palmd.rig.uinput import UinputLine
 from palmd.rig.world import default_config
 from palmd.systems import LIVE, SYSTEMS, load_part
 from palmd.topics import RIG_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
-
-Line = PtyLine | SocketLine | UinputLine
 
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
@@ -207,7 +205,10 @@ class StopSignal:
 
 
 class RigProcess:
-    """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
+    """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them.
+
+    All bytes that a port has accepted are also decoded here, for comparison with the real host.
+    """
 
     def __init__(
         self,
@@ -230,7 +231,7 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
-        self._lines: dict[PortName, Line] = {}
+        self._lines: dict[PortName, EmulatedLine] = {}
         for port in world.ports:
             path, baud = folder / port, world.bauds[port]
             if input_devices and baud is None:
@@ -239,9 +240,7 @@ class RigProcess:
                 self._lines[port] = SocketLine(path)
             else:
                 self._lines[port] = PtyLine(path, baud, noise)
-        self._reference_hosts: dict[PortName, ReferenceHost] = {
-            port: ReferenceHost(world.make_decoder(port)) for port in world.ports
-        }
+        self._reference: dict[PortName, Decoder] = {port: world.make_decoder(port) for port in world.ports}
         self._waiter = LineWaiter()
         for line in self._lines.values():
             self._toggle_plug(line)
@@ -298,7 +297,7 @@ class RigProcess:
         events = self._waiter.ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
-                self._reference_hosts[port].interrupted()
+                self._reference[port].reset()
                 self._toggle_plug(line)
                 continue
             data, flushed = line.read(events.get(line.fileno, 0))
@@ -309,9 +308,9 @@ class RigProcess:
         for port, sent in world.advance(t).items():
             if not sent:
                 continue
-            self._reference_hosts[port].take(self._lines[port].write(sent), t)
+            self._reference[port].feed(self._lines[port].write(sent), t)
 
-    def _toggle_plug(self, line: Line) -> None:
+    def _toggle_plug(self, line: EmulatedLine) -> None:
         if line.plugged:
             self._waiter.forget(line.fileno)
             line.unplug()
@@ -379,18 +378,14 @@ class RigProcess:
 
     def _status(self) -> dict[str, Any]:
         lines = {
-            f"{port}_{what}": value
+            f"{port}_{what}": getattr(line, what)
             for port, line in self._lines.items()
-            for what, value in (
-                ("bytes_sent", line.bytes_sent),
-                ("bytes_lost", line.bytes_lost),
-                ("bytes_heard", line.bytes_heard),
-            )
+            for what in ("bytes_sent", "bytes_lost", "bytes_heard")
         }
         decoded = {
             f"{port}_sent_{what}": n
-            for port, host in self._reference_hosts.items()
-            for what, n in host.as_dict().items()
+            for port, decoder in self._reference.items()
+            for what, n in {**decoder.counters.as_dict(), "pending": decoder.pending}.items()
         }
         timing = {
             "ticks": self.ticks,

@@ -139,12 +139,6 @@ class CurvedPlant(Plant):
         at = self.body.support.at
         return at(self._theta[0])[0], at(self._theta[1])[0]
 
-    def tangents(self) -> tuple[float, float]:
-        """β1 and β2 (rad, world): directions of the palms at the contacts."""
-        self._nearest_points(self._frame, self.state)
-        psi = self.state.psi
-        return self._theta[0] + psi + 0.5 * math.pi, self._theta[1] + psi - 0.5 * math.pi
-
     # -- geometry -----------------------------------------------------------------------------------------
 
     def _normal(self, palm: int, frame: PalmFrame) -> tuple[float, float]:

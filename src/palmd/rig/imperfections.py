@@ -14,7 +14,6 @@ from palmd.config.any_config import AnyConfig
 from palmd.config.fields import Strict
 from palmd.config.two_palms import Config, PadImperfectionsConfig, rig_description
 from palmd.events import Joints, PalmMotion
-from palmd.rig.smooth_error import NO_ERROR, SmoothError, drawn_error
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
@@ -23,7 +22,26 @@ Described = TypeVar("Described", bound=AnyConfig)
 
 _MAX_SIGMAS = 3.0  # a drawn error never exceeds this many standard deviations
 _MAX_ASYMMETRY = 0.9  # of drawn friction, so that both palms have friction
+_STEPS_PER_LENGTH = 12  # of a smooth error's grid, per correlation length: interpolation then errs by 1/1000 of it
 _SEED_STREAM = 17  # own random stream: a seed's object does not depend on the imperfections
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothError:
+    """A pad's position error (m) at evenly spaced places from the hinge to its end; zero everywhere if empty."""
+
+    values: tuple[float, ...] = ()
+    length: float = 0.0
+
+    def at(self, s: float) -> float:
+        """The error (m) at distance `s` (m) from the hinge; constant beyond the pad's ends."""
+        if not self.values:
+            return 0.0
+        step = self.length / (len(self.values) - 1)
+        return float(np.interp(s / step, np.arange(len(self.values)), self.values))
+
+
+NO_ERROR = SmoothError()
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +145,21 @@ def drawn(rig: RigDescription, *seed: int) -> Imperfections:
         error(rig.gravity_sd),
         min(max(error(rig.friction_sd), -_MAX_ASYMMETRY), _MAX_ASYMMETRY),
     )
+
+
+def drawn_error(sd: float, correlation: float, length: float, rng: np.random.Generator) -> SmoothError:
+    """Draw a Gaussian process with standard deviation `sd` and squared-exponential `correlation` length on a pad (m).
+
+    Its constant and linear parts are removed: these are the pad's zero and scale.
+    """
+    if sd == 0.0:
+        return NO_ERROR
+    s = np.linspace(0.0, length, 1 + max(2, int(np.ceil(_STEPS_PER_LENGTH * length / correlation))))
+    covariance = np.exp(-0.5 * np.subtract.outer(s, s) ** 2 / correlation**2)
+    eigenvalues, eigenvectors = np.linalg.eigh(covariance)
+    drawn = sd * eigenvectors @ (np.sqrt(np.maximum(eigenvalues, 0.0)) * rng.standard_normal(len(s)))
+    trend, _ = np.linalg.qr(np.stack([np.ones_like(s), s], axis=1))
+    return SmoothError(tuple((drawn - trend @ (trend.T @ drawn)).tolist()), length)
 
 
 def configured(config: Config, seed: int) -> Imperfections:

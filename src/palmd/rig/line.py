@@ -10,6 +10,7 @@ import select
 import socket
 import termios
 import tty
+from abc import ABC, abstractmethod
 from collections import deque
 from pathlib import Path
 
@@ -61,65 +62,102 @@ class Wire:
         return bytes(out)
 
 
-class PtyLine:
-    """A pseudo-terminal under a fixed path: a link that points to it while it is plugged in.
+class EmulatedLine(ABC):
+    """A port under a fixed path while it is plugged in. Never blocks; bytes that no host takes are lost."""
 
-    Never blocks. Bytes for a host that has not opened the port are lost, as on a real line; bytes exchanged at a baud
-    rate other than the device's become noise.
-    """
+    edge_triggered = True
+    """Whether its descriptor is polled edge-triggered, see `LineWaiter`."""
 
-    edge_triggered = True  # its descriptor is polled edge-triggered, see `LineWaiter`
-
-    def __init__(self, link: Path, baud: int | None, rng: np.random.Generator) -> None:
-        """Without a `baud` it represents a device that has no serial line."""
-        self.path = link
-        self.bytes_sent = 0
-        self.bytes_lost = 0
-        self.bytes_heard = 0
-        self._baud, self._rng = baud, rng
-        self._master: int | None = None
-        self._attached = False
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
+        self._fd: int | None = None
 
     @property
     def plugged(self) -> bool:
         """Whether the port exists at present."""
-        return self._master is not None
+        return self._fd is not None
 
     @property
     def fileno(self) -> int:
         """The descriptor to poll, −1 while the port does not exist."""
-        return -1 if self._master is None else self._master
+        return -1 if self._fd is None else self._fd
+
+    @abstractmethod
+    def plug(self) -> None:
+        """Create the port; does nothing if it exists. Raises OSError if that is not possible."""
+
+    @abstractmethod
+    def unplug(self) -> None:
+        """Remove the port even if the host has it open; does nothing if it does not exist."""
+
+    @abstractmethod
+    def read(self, events: int) -> tuple[bytes, bool]:
+        """What the host has written, and whether it has opened or flushed the port, given poll()'s events."""
+
+    def write(self, data: bytes) -> bytes:
+        """Offer bytes to the host; returns those that were accepted, as the host will read them."""
+        if not data:
+            return b""
+        received, written = self._as_received(data), 0
+        with contextlib.suppress(OSError):
+            written = self._send(received)
+        self.bytes_sent += written
+        self.bytes_lost += len(data) - written
+        return received[:written]
+
+    def _as_received(self, data: bytes) -> bytes:
+        """The bytes as the host will read them."""
+        return data
+
+    @abstractmethod
+    def _send(self, data: bytes) -> int:
+        """Number of bytes accepted, 0 without a host; may raise OSError."""
+
+    def _link_to(self, target: str | Path) -> None:
+        self.path.unlink(missing_ok=True)
+        self.path.symlink_to(target)
+
+
+class PtyLine(EmulatedLine):
+    """A pseudo-terminal under a fixed path: a link that points to it while it is plugged in.
+
+    Bytes for a host that has not opened the port are lost, as on a real line; bytes exchanged at a baud rate other than
+    the device's become noise.
+    """
+
+    def __init__(self, link: Path, baud: int | None, rng: np.random.Generator) -> None:
+        """Without a `baud` it represents a device that has no serial line."""
+        super().__init__(link)
+        self._baud, self._rng = baud, rng
+        self._attached = False
 
     def plug(self) -> None:
-        """Create the port; does nothing if it exists."""
-        if self._master is not None:
+        """See `EmulatedLine`."""
+        if self._fd is not None:
             return
-        master, slave = os.openpty()
+        self._fd, slave = os.openpty()
         tty.setraw(slave)
-        self._master = master
-        os.set_blocking(master, False)
-        _packet_mode(master)
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
-        self.path.symlink_to(os.ttyname(slave))
+        os.set_blocking(self._fd, False)
+        _packet_mode(self._fd)
+        self._link_to(os.ttyname(slave))
         os.close(slave)
 
     def unplug(self) -> None:
-        """Remove the port even if the host has it open; does nothing if it does not exist."""
-        if self._master is None:
+        """See `EmulatedLine`."""
+        if self._fd is None:
             return
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
-        os.close(self._master)
-        self._master, self._attached = None, False
+        self.path.unlink(missing_ok=True)
+        os.close(self._fd)
+        self._fd, self._attached = None, False
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """What the host has written, and whether it has opened or flushed the port, given poll()'s events."""
+        """See `EmulatedLine`."""
         self._attached = not events & select.POLLHUP
         out, flushed = b"", False
-        while self._master is not None and events & (select.POLLIN | select.POLLPRI):
+        while self._fd is not None and events & (select.POLLIN | select.POLLPRI):
             try:
-                packet = os.read(self._master, READ_BYTES)
+                packet = os.read(self._fd, READ_BYTES)
             except OSError:  # nothing more to read, or the host has closed the port
                 break
             if packet[0] == 0:
@@ -127,32 +165,23 @@ class PtyLine:
                 self.bytes_heard += len(packet) - 1
             else:
                 flushed = flushed or bool(packet[0] & _FLUSHED)
-        return self._at_host_baud(out), flushed
+        return self._as_received(out), flushed
 
-    def write(self, data: bytes) -> bytes:
-        """Offer bytes to the host; returns those that the pseudo-terminal accepted, as the host will read them."""
-        if not data:
-            return b""
-        received, written = self._at_host_baud(data), 0
-        if self._master is not None and self._attached:
-            with contextlib.suppress(OSError):
-                written = os.write(self._master, received)
-        self.bytes_sent += written
-        self.bytes_lost += len(data) - written
-        return received[:written]
+    def _send(self, data: bytes) -> int:
+        return os.write(self._fd, data) if self._fd is not None and self._attached else 0
 
-    def _at_host_baud(self, data: bytes) -> bytes:
-        if not data or self._master is None or self._baud is None or self._host_baud() == self._baud:
+    def _as_received(self, data: bytes) -> bytes:
+        if not data or self._fd is None or self._baud is None or self._host_baud() == self._baud:
             return data
         return bytes(self._rng.integers(0, 256, len(data), dtype=np.uint8))
 
     def _host_baud(self) -> int | None:
-        assert self._master is not None
-        return _BAUD_OF.get(termios.tcgetattr(self._master)[_OSPEED])
+        assert self._fd is not None
+        return _BAUD_OF.get(termios.tcgetattr(self._fd)[_OSPEED])
 
 
-class SocketLine:
-    """A line with the interface of `PtyLine` on a UNIX socket: bytes reach the host as soon as they are written.
+class SocketLine(EmulatedLine):
+    """A line on a UNIX socket: bytes reach the host as soon as they are written.
 
     A pseudo-terminal's bytes wait for a kernel thread, for tenths of a second when other programs occupy the
     processors. A socket has no baud rate and no break. One host at a time; others wait until it disconnects. Bytes
@@ -162,28 +191,16 @@ class SocketLine:
     edge_triggered = False
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
+        super().__init__(path)
         self._listener: socket.socket | None = None
         self._host: socket.socket | None = None
         self._epoll: select.epoll | None = None  # watches the host, or the listening socket if there is none
 
-    @property
-    def plugged(self) -> bool:
-        """Whether the port exists at present."""
-        return self._listener is not None
-
-    @property
-    def fileno(self) -> int:
-        """The descriptor to poll, −1 while the port does not exist."""
-        return -1 if self._epoll is None else self._epoll.fileno()
-
     def plug(self) -> None:
-        """Create the port; does nothing if it exists. Raises OSError if the path is too long for a socket."""
+        """See `EmulatedLine`; the path may be too long for a socket."""
         if self._listener is not None:
             return
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
+        self.path.unlink(missing_ok=True)
         listener = socket.socket(socket.AF_UNIX)
         try:
             listener.bind(str(self.path))
@@ -193,22 +210,23 @@ class SocketLine:
             raise
         listener.setblocking(False)
         self._listener, self._epoll = listener, select.epoll()
+        self._fd = self._epoll.fileno()
         self._epoll.register(listener, select.EPOLLIN)
 
     def unplug(self) -> None:
-        """Remove the port even if the host has it open; does nothing if it does not exist."""
+        """See `EmulatedLine`."""
         if self._listener is None or self._epoll is None:
             return
         self._epoll.close()
         self._listener.close()
-        self._listener = self._epoll = None
+        self._listener = self._epoll = self._fd = None
         self.path.unlink(missing_ok=True)
         if self._host is not None:
             self._host.close()
             self._host = None
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """What the host has written, and whether it has opened the port, given poll()'s events."""
+        """See `EmulatedLine`."""
         if not events or self._listener is None or self._epoll is None:
             return b"", False
         if self._host is None:
@@ -226,15 +244,8 @@ class SocketLine:
         self.bytes_heard += len(out)
         return out, False
 
-    def write(self, data: bytes) -> bytes:
-        """Offer bytes to the host; returns those that the socket accepted."""
-        written = 0
-        if data and self._host is not None:
-            with contextlib.suppress(OSError):
-                written = self._host.send(data)
-        self.bytes_sent += written
-        self.bytes_lost += len(data) - written
-        return data[:written]
+    def _send(self, data: bytes) -> int:
+        return self._host.send(data) if self._host is not None else 0
 
     def _accept_host(self, listener: socket.socket, epoll: select.epoll) -> bool:
         try:

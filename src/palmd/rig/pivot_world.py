@@ -3,7 +3,7 @@
 Rigid gripper: while the body touches the pad, the pivot's height determines its orientation, and constraint forces
 determine the pad's force (`rig.pivot.Grasp`). Contact is lost where the force would have to pull; beyond the lowest
 height, or where friction holds the body, it is jammed. Gripper on a slide: the arm moves the slide's lower stop; while
-the body stands on the pad the carriage is clear of the stop and the body rolls (`rig.pivot_slide`).
+the body stands on the pad the carriage is clear of the stop and the body rolls (`rig.pivot.Slide`).
 
 A body without contact is in a hand, which waits until the gripper has been raised, tilts the body (under a rigid
 gripper towards the nearer end of the pad) and releases it when it touches again.
@@ -23,9 +23,8 @@ from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
-from palmd.rig.pivot import Axis, Grasp
+from palmd.rig.pivot import Axis, Grasp, Slide
 from palmd.rig.pivot_arm import PivotArm
-from palmd.rig.pivot_slide import Slide
 from palmd.rig.shapes import Kind, random_body
 from palmd.system.description import RigDescription
 

@@ -50,13 +50,6 @@ class Hinge:
     palm1_length: float = 0.12
     base: tuple[float, float] = (0.12, 0.0)
 
-    def at(self, phi1: float) -> tuple[float, float]:
-        """The hinge O in the world (m); O = B − L1·t1(φ1) on the arc."""
-        if self.mode == "fixed":
-            return self.base
-        bx, by = self.base
-        return bx - self.palm1_length * math.cos(phi1), by - self.palm1_length * math.sin(phi1)
-
 
 @dataclass(frozen=True, slots=True)
 class FrictionSurface:

@@ -73,24 +73,3 @@ class Decoder(Protocol):
 
     def reset(self) -> None:
         """Start again after an interruption of the line."""
-
-
-class ReferenceHost:
-    """A host that misses nothing: decodes all bytes that a terminal has accepted, for comparison with the real host."""
-
-    def __init__(self, decoder: Decoder) -> None:
-        """`decoder`: a new one of the kind that the host uses."""
-        self._decoder = decoder
-
-    def take(self, data: bytes, t: float) -> None:
-        """Bytes that were written at `t` (s)."""
-        self._decoder.feed(data, t)
-
-    def interrupted(self) -> None:
-        """The port was unplugged."""
-        self._decoder.reset()
-
-    def as_dict(self) -> dict[str, int]:
-        """All counters by name, and the number of `pending` bytes."""
-        counts: dict[str, int] = self._decoder.counters.as_dict()
-        return counts | {"pending": self._decoder.pending}

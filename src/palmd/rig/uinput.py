@@ -9,6 +9,7 @@ import struct
 from pathlib import Path
 
 from palmd.devices import evdev
+from palmd.rig.line import EmulatedLine
 from palmd.rig.padkinds.evdev import POSITION_LIMIT, PRESSURE_MAX
 
 UINPUT = Path("/dev/uinput")
@@ -35,28 +36,11 @@ def available() -> bool:
     return os.access(UINPUT, os.W_OK)
 
 
-class UinputLine:
-    """An input device under a fixed path, with the interface of a `PtyLine`: a link to the device while it exists.
+class UinputLine(EmulatedLine):
+    """An input device under a fixed path: a link to the device while it exists.
 
     The kernel sets the time stamps itself, drops events that change nothing, and rejects `SYN_DROPPED` from outside.
     """
-
-    edge_triggered = True
-
-    def __init__(self, link: Path) -> None:
-        self.path = link
-        self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
-        self._fd: int | None = None
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the device exists at present."""
-        return self._fd is not None
-
-    @property
-    def fileno(self) -> int:
-        """The descriptor to poll, −1 while the device does not exist."""
-        return -1 if self._fd is None else self._fd
 
     def plug(self) -> None:
         """Create the device; does nothing if it exists. Raises OSError if the kernel refuses."""
@@ -71,16 +55,13 @@ class UinputLine:
             os.close(fd)
             raise
         self._fd = fd
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
-        self.path.symlink_to(device)
+        self._link_to(device)
 
     def unplug(self) -> None:
         """Remove the device even if the host has it open; does nothing if it does not exist."""
         if self._fd is None:
             return
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
+        self.path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             fcntl.ioctl(self._fd, _DESTROY)
         os.close(self._fd)
@@ -90,17 +71,8 @@ class UinputLine:
         """Nothing: an input device receives no data, and is not notified when it is opened."""
         return b"", False
 
-    def write(self, data: bytes) -> bytes:
-        """Pass records to the kernel; returns those that it accepted."""
-        if not data or self._fd is None:
-            self.bytes_lost += len(data)
-            return b""
-        written = 0
-        with contextlib.suppress(OSError):
-            written = os.write(self._fd, data)
-        self.bytes_sent += written
-        self.bytes_lost += len(data) - written
-        return data[:written]
+    def _send(self, data: bytes) -> int:
+        return os.write(self._fd, data) if self._fd is not None else 0
 
 
 def _set_up(fd: int) -> None:

@@ -26,7 +26,7 @@ from palmd.observer.reidentification import reidentified
 from palmd.observer.search import Minima, Search
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
-from palmd.rig.smooth_error import drawn_error
+from palmd.rig.imperfections import drawn_error
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED
 from palmd.system.mechanism import PALMS

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palmd.rig.pivot import GRAVITY, Grasp
-from palmd.rig.pivot_slide import Slide
+from palmd.rig.pivot import GRAVITY, Grasp, Slide
 from palmd.rig.shapes import random_body
 
 STEP_S = 5e-4

@@ -11,11 +11,10 @@ from simulated import simulated
 from palmd.config.two_palms import Config, ImperfectionsConfig, rig_description
 from palmd.events import PalmMotion
 from palmd.observer.reconstruct import reconstruct
-from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection, configured, drawn
-from palmd.rig.plant import PAD_LENGTH, FrictionSurface, Hinge, Plant, stable_poses
+from palmd.rig.imperfections import NO_ERROR, PERFECT, Imperfections, PadImperfection, configured, drawn
+from palmd.rig.plant import PAD_LENGTH, FrictionSurface, Hinge, Plant, palm_frame, stable_poses
 from palmd.rig.shapes import cylinder, random_body
 from palmd.rig.simulate import PERFECTLY_KNOWN, Rock, Rocking, main, simulate_log
-from palmd.rig.smooth_error import NO_ERROR
 from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -35,7 +34,8 @@ def of_pad(number, **off):
 
 def nearest(plant, palms, pads, number):
     """Of a palm's surface to the body's centre: the distance (m), and where that is (m), by trying all of it."""
-    ox, oy = plant.hinge.at(palms.angles[0])
+    frame = palm_frame(plant.hinge, palms)
+    ox, oy = frame.ox, frame.oy
     angle = palms.angles[0] if number == 1 else sum(palms.angles)
     s = np.linspace(0.0, PAD_LENGTH, 200_001)
     pad = pads[number - 1]

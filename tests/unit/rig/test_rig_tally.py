@@ -3,9 +3,8 @@
 import math
 
 from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_command
-from palmd.devices.versapad import VersaPadDecoder, encode_packet
 from palmd.rig.fault_injection import PORTS, order
-from palmd.rig.tally import DeviceTally, HostLines, ReferenceHost
+from palmd.rig.tally import DeviceTally, HostLines
 from palmd.rig.world import World, default_config
 
 
@@ -29,17 +28,6 @@ def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them(
     assert (lines.setpoints, lines.setpoints_touched) == (2, 2)
     lines.take(one[5:], one[5:], 0.3)
     assert (lines.setpoints, lines.setpoints_touched) == (3, 2)
-
-
-def test_a_listener_hears_whole_packets_and_forgets_half_ones_when_the_plug_is_pulled():
-    listener = ReferenceHost(VersaPadDecoder(9600))
-    packet = encode_packet(10, 20, 30)
-    listener.take(packet + packet[:4], 0.0)
-    assert (listener.as_dict()["packets"], listener.as_dict()["pending"]) == (1, 4)
-    listener.interrupted()
-    listener.take(packet[4:] + packet, 0.01)
-    told = listener.as_dict()
-    assert (told["packets"], told["truncated"], told["bad_header"]) == (2, 4, 2)
 
 
 def test_every_byte_on_a_line_is_sent_or_still_waiting():
