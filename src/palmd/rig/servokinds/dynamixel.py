@@ -36,7 +36,7 @@ from palmd.rig.servos import (
 
 STEP_RAD_S = math.radians(360.0)  # speed of a servo without a profile
 
-_ANSWERED_FROM_LEVEL = {Instruction.PING: 0, Instruction.READ: 1, Instruction.SYNC_READ: 1}
+_ANSWERED_FROM_LEVEL: Mapping[int, int] = {Instruction.PING: 0, Instruction.READ: 1, Instruction.SYNC_READ: 1}
 _POSITION_MODES = (servotable.POSITION_MODE, servotable.EXTENDED_MODE)
 
 
