@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from operator import add
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -183,16 +182,12 @@ def perfect(config: Described) -> Described:
     """The configuration of a rig exactly as described, and known to be."""
     pads = {f"palm{palm}": _known(pad) for palm, pad in enumerate(config.pads.each(), 1)}
     rig = _known(config.rig).model_copy(update={"imperfections": "none"})
-    return _with(config, {"rig": rig, "pads": config.pads.model_copy(update=pads)})
+    return config.model_copy(update={"rig": rig, "pads": config.pads.model_copy(update=pads)})
 
 
 def _known(section: Section) -> Section:
     """The section with every `_sd` set to zero."""
-    return _with(section, {name: 0.0 for name in type(section).model_fields if "_sd" in name})
-
-
-def _with(section: Section, update: Mapping[str, Any]) -> Section:
-    return section.model_copy(update=update)
+    return section.model_copy(update={name: 0.0 for name in type(section).model_fields if "_sd" in name})
 
 
 def _pad(settings: PadImperfectionsConfig) -> PadImperfection:
