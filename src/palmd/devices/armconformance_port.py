@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Self, TypeVar
 
 from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
@@ -61,10 +60,7 @@ class ArmLine:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Close the port."""
+    def __exit__(self, *_: object) -> None:
         self._port.close()
 
     def stop(self, talk: Talk) -> None:
