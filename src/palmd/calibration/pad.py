@@ -9,9 +9,17 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from palmd.calibration.files import not_written, plain, provenance, writable, write
+from palmd.calibration.files import (
+    add_config,
+    add_output,
+    document,
+    not_written,
+    plain,
+    report,
+    result_folder,
+    write,
+)
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config.pads import PadConfig
 from palmd.console.arguments import seconds_within
@@ -34,40 +42,33 @@ _LEAST_NOISE_MM = 0.001
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the rig's configuration, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # kept for compatibility
     add("--pad", type=int, choices=PALMS, required=True, help="of which palm")
-    add(
-        "--seconds",
-        type=seconds_within(2.0, 600.0),
-        default=20.0,
-        metavar="S",
-        help="from the first touch (default: %(default)s)",
-    )
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for padN.yaml and padN.svg, which are overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add("--seconds", type=seconds_within(2.0, 600.0), default=20.0, metavar="S",
+        help="from the first touch (default: %(default)s)")  # fmt: skip
+    add_output(parser, "padN.yaml and padN.svg")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the pad is measured; CliError if the input is wrong or the reports do not suffice."""
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     pad = make_pad(arguments.pad, config)
     packets = _listen(name, config, pad, arguments.seconds)
     try:
         found = characterise(packets, pad.counts(), config)
     except TooFewReportsError as error:
         raise CliError(RIG_FAILED, f"{name}: {error}") from None
-    print(table(name, found, config))
-    for remark in remarks(name, found, config):
-        print(remark, file=sys.stderr)
-    result = folder / f"{name}.yaml"
-    write(result, document(arguments.pad, found, config))
+    report(table(name, found, config), remarks(name, found, config))
+    settings, result = {"noise_mm": noise_mm(found, config)}, folder / f"{name}.yaml"
+    header, section = {"palmd_pad_characteristic": FORMAT}, config.model_copy(update=settings)
+    write(result, document(header, section, settings, plain(asdict(found)), {"pad": arguments.pad}))
     figure = _draw(packets, found, config, folder / f"{name}.svg")
     print(f"written: {', '.join(map(str, [result, *figure]))}")
-    print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {noise_mm(found, config):g}")
+    print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {settings['noise_mm']:g}")
     return 0
 
 
@@ -108,18 +109,6 @@ def noise_mm(found: PadCharacteristic, config: PadConfig) -> float:
     """The value for the configuration; where rounding hides the noise, its upper limit (1σ)."""
     along = found.along(config)
     return max(round(max(along.noise_mm, along.noise_sd_mm), 3), _LEAST_NOISE_MM)
-
-
-def document(pad: int, found: PadCharacteristic, config: PadConfig) -> dict[str, Any]:
-    """The stored result; `configuration` has the pad's proposed settings, the hash is of the section with them."""
-    settings = {"noise_mm": noise_mm(found, config)}
-    return {
-        "palmd_pad_characteristic": FORMAT,
-        **provenance(config.model_copy(update=settings)),
-        "pad": pad,
-        "configuration": settings,
-        "found": plain(asdict(found)),
-    }
 
 
 def _axis_row(axis: AxisCharacteristic) -> str:

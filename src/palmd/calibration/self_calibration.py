@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
 from palmd.calibration.self_fit import RigFit, combined
 from palmd.config.arms import ServosConfig
@@ -49,18 +49,17 @@ _MAX_DEVIATION = 4.0  # 1σ of a run
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the configuration that the runs were recorded with, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the configuration that the runs were recorded with, palmd.yaml")
     add("runs", type=Path, nargs="+", metavar="RUN", help="recorded runs (.mcap), or event logs of this rig")
     add("--seed", type=seed, default=0, metavar="N", help="of the blind starts (default: %(default)s)")
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for self.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_output(parser, "self.yaml")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all runs are reconstructed; CliError if one cannot be used, or none is reconstructed."""
     config = configured(arguments.config)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     logs = {path: _read(path, arguments.config, config) for path in arguments.runs}
     if len({path.resolve() for path in logs}) < len(arguments.runs):
         raise CliError(BAD_INPUT, "a run is given twice: its information would count twice")
@@ -68,16 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not answers:
         raise CliError(BAD_INPUT, "self: no run was reconstructed: record longer ones, with more of an object touched")
     fit = fitted(list(answers.values()), rig_description(config))
-    print(table(fit, len(answers)))
-    for remark in remarks(fit, answers):
-        print(remark, file=sys.stderr)
+    report(table(fit, len(answers)), remarks(fit, answers))
     values = proposed_settings(fit, config)
     if not values:
         print(f"{arguments.config}: nothing to write: the runs determine neither a zero, a scale nor the yaw")
         return 0
-    result = folder / "self.yaml"
-    write(result, document(fit, values, list(answers), config))
-    print(f"written: {result}")
+    header, inputs = {"palmd_self_calibration": FORMAT}, {"runs": [str(path) for path in answers]}
+    store(folder / "self.yaml", document(header, applied(config, values), plain(values), _results(fit), inputs))
     print(f"{arguments.config}: write in these sections:\n{lines(values)}")
     return 0
 
@@ -155,20 +151,13 @@ def applied(config: Config, sections: Sections) -> Config:
     return Config.model_validate(changed)
 
 
-def document(fit: RigFit, values: Sections, runs: Sequence[Path], config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` has the proposed settings, the hash is of the configuration with them."""
+def _results(fit: RigFit) -> dict[str, Any]:
     found = zip(
         RIG_NAMES, fit.values.tolist(), fit.sds.tolist(), fit.priors.tolist(), fit.determined.tolist(), strict=True
     )
     return {
-        "palmd_self_calibration": FORMAT,
-        **provenance(applied(config, values)),
-        "runs": [str(path) for path in runs],
-        "configuration": plain(values),
-        "found": {
-            name: {"value": value, "sd": sd, "prior_sd": prior, "told": is_determined}
-            for name, value, sd, prior, is_determined in found
-        },
+        name: {"value": value, "sd": sd, "prior_sd": prior, "told": is_determined}
+        for name, value, sd, prior, is_determined in found
     }
 
 
