@@ -19,8 +19,9 @@ from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.devices.actuator import ArmState, Pose
-from palmd.devices.armconformance_port import ArmLine, ArmLineError
+from palmd.devices.armconformance_port import ArmLine
 from palmd.devices.armconformance_talk import DeviationError, Script, Talk
+from palmd.devices.port import PortUnavailableError
 from palmd.doctor.ports import holders
 
 FORMAT = 1
@@ -126,7 +127,7 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
     try:
         with ArmLine(path, config.arm.baud) as line, Progress("arm", math.ceil(seconds), "s") as progress:
             return line.play(_record_swing(Talk(config.arm.baud), seconds, progress))
-    except ArmLineError as error:
+    except PortUnavailableError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     except DeviationError as error:
         raise CliError(

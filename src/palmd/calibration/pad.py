@@ -26,8 +26,9 @@ from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
-from palmd.devices.pad import PadDriver, PadReport, make_pad
-from palmd.devices.port import PortWaiter
+from palmd.devices.pad import PadReport
+from palmd.devices.padlistener import PadListener
+from palmd.devices.port import PortUnavailableError, PortWaiter
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
 
@@ -56,10 +57,9 @@ def run(arguments: argparse.Namespace) -> int:
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
     folder = result_folder(arguments)
-    pad = make_pad(arguments.pad, config)
-    packets = _listen(name, config, pad, arguments.seconds)
+    packets, counts = _listen(arguments.pad, config, arguments.seconds)
     try:
-        found = characterise(packets, pad.counts(), config)
+        found = characterise(packets, counts, config)
     except TooFewReportsError as error:
         raise CliError(RIG_FAILED, f"{name}: {error}") from None
     report(table(name, found, config), remarks(name, found, config))
@@ -126,42 +126,31 @@ def _pad_config(path: Path, pad: int) -> PadConfig:
     return pads.of(pad)
 
 
-def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> list[PadReport]:
-    """All reports from the first on; CliError if the port fails or nobody touches the pad."""
-    port = pad.port()
-    t = time.monotonic()
-    if not port.poll_open(t):
-        raise CliError(RIG_FAILED, str(port.error))
-    pad.opened(t)
-    waiter = PortWaiter([port])
-    packets: list[PadReport] = []
-    print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+def _listen(number: int, config: PadConfig, seconds: float) -> tuple[list[PadReport], dict[str, int]]:
+    """All reports from the first on, and the driver's counters; CliError if the port fails or there is no touch."""
+    name, packets = f"pad{number}", list[PadReport]()
     try:
-        with Progress(name, math.ceil(seconds), "s") as progress:
+        with PadListener(number, config) as listener, Progress(name, math.ceil(seconds), "s") as progress:
+            waiter = PortWaiter([listener.port])
+            print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+            t = time.monotonic()
             t_begin, t_end = math.inf, t + FIRST_TOUCH_S
             while t < t_end:
                 waiter.wait(min(t + _LOOK_S, t_end))
-                data = port.read()
+                packets += listener.read()
                 t = time.monotonic()
-                packets += pad.reports(data, t)
-                pad.tend(port, t)
-                if not port.is_open:
-                    raise CliError(RIG_FAILED, str(port.error))
                 if math.isinf(t_begin) and any(packet.in_use for packet in packets):
                     t_begin, t_end = t, t + seconds
                 progress.at(int(max(t - t_begin, 0.0)))
-    finally:
-        port.close()
-    if math.isinf(t_begin):
-        raise CliError(RIG_FAILED, _silence(name, config, pad))
-    return packets
-
-
-def _silence(name: str, config: PadConfig, pad: PadDriver) -> str:
-    if pad.diagnosis is not None:
-        return f"{name}: {pad.diagnosis}"
-    return (
-        f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port"
+    except PortUnavailableError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
+    if not math.isinf(t_begin):
+        return packets, listener.driver.counts()
+    if listener.driver.diagnosis is not None:
+        raise CliError(RIG_FAILED, f"{name}: {listener.driver.diagnosis}")
+    raise CliError(
+        RIG_FAILED,
+        f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port",
     )
 
 

@@ -9,21 +9,23 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
-from palmd.calibration.self_fit import RigFit, combined
 from palmd.config.arms import ServosConfig
 from palmd.config.two_palms import Config, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.events import FloatArray
 from palmd.model.smoothing import R
 from palmd.observer.criticism import RigBelief, criticised
 from palmd.observer.reconstruct import reconstruct
@@ -33,7 +35,7 @@ from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import read_run
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
-from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, shown
+from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, determined, shown
 
 FORMAT = 1
 Sections = dict[str, dict[str, float]]
@@ -45,6 +47,32 @@ _READING_KEYS = (
     *(f"arm.{name}" for name in ("base_x_mm", "base_y_mm", "base_yaw_deg")),
 )
 _MAX_DEVIATION = 4.0  # 1σ of a run
+
+
+@dataclass(frozen=True, slots=True)
+class RigFit:
+    """Errors of the constants in `system.rig_constants.RIG_TABLE`, their covariance, and their priors' 1σ."""
+
+    values: FloatArray
+    covariance: FloatArray
+    priors: FloatArray
+
+    @property
+    def sds(self) -> FloatArray:
+        """1σ of each constant."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def determined(self) -> npt.NDArray[np.bool_]:
+        """Which constants the runs determine."""
+        return determined(self.sds, self.priors)
+
+    @property
+    def independent_sds(self) -> FloatArray:
+        """1σ values whose diagonal covariance bounds the joint covariance; limited to those of the priors."""
+        correlation = self.covariance / np.outer(self.sds, self.sds)
+        widening = math.sqrt(np.linalg.eigvalsh(correlation)[-1])
+        return np.minimum(widening * self.sds, self.priors)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,6 +112,22 @@ def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
     runs = [(*(each.rig_by_prior or (each.rig, each.rig_covariance)), each.rig_prior_sd) for each in answers]
     together = combined(runs, prior_sd)
     return combined(runs, criticised(together.values, together.covariance, prior_sd, prior_sd).sd)
+
+
+def combined(runs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], priors: FloatArray) -> RigFit:
+    """Combine the runs: add each posterior's (mean, covariance) information beyond its prior's, and `priors` once.
+
+    Priors have mean zero and nonzero 1σ; the third item of a run is the prior with which it was reconstructed.
+    """
+    units, own = np.outer(priors, priors), np.eye(len(priors))
+    information: FloatArray = own.copy()
+    side = np.zeros(len(priors))
+    for mean, covariance, prior in runs:
+        of_run = np.linalg.inv(covariance / units)
+        information += of_run - np.diag((priors / prior) ** 2)
+        side += of_run @ (mean / priors)
+    together = np.linalg.inv(information)
+    return RigFit(priors * (together @ side), together * units, priors)
 
 
 def table(fit: RigFit, runs: int) -> str:

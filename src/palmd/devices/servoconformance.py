@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 from palmd.devices import dynamixel as dxl
-from palmd.devices.port import Port
+from palmd.devices.port import Port, PortUnavailableError
 from palmd.devices.servobus import CENTRE, Axis, Packet, Registers, ServoMake
 from palmd.devices.servohost import cycle_period
 from palmd.devices.servoscripts import ANSWER_S
@@ -38,7 +38,7 @@ class NoAnswerError(ServoDeviationError):
 
 
 class ServoTalk:
-    """Access to the servos at a port for checks, a context manager; raises OSError if the port cannot be opened."""
+    """Access to the servos at a port for checks, a context manager; raises PortUnavailableError."""
 
     def __init__(self, port: str, baud: int, axes: Sequence[Axis]) -> None:
         self.baud, self.axes = baud, axes
@@ -46,7 +46,7 @@ class ServoTalk:
 
     def __enter__(self) -> Self:
         if not self._port.poll_open(time.monotonic()):
-            raise OSError(self._port.error)
+            raise PortUnavailableError(self._port.error)
         return self
 
     def __exit__(self, *_: object) -> None:

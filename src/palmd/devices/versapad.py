@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 from palmd.devices.arrival import FirstByteClock, byte_time
+from palmd.devices.health import Counters
 from palmd.devices.pad import PadReport
 
 PACKET_BYTES = 6
@@ -91,7 +92,7 @@ class PadPacket(PadReport):
 
 
 @dataclass(slots=True)
-class PadCounters:
+class PadCounters(Counters):
     """Counters of a pad's line. `bytes == 6 * packets + discarded + bytes pending` at all times.
 
     `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; in a packet

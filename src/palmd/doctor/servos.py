@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from palmd.config.arms import DynamixelConfig, FeetechConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.actuator import make_actuator
+from palmd.devices.port import PortUnavailableError
 from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, ServoResult, ServoTalk, examine
 from palmd.devices.servohost import ServoHost
 from palmd.doctor.arm import confirmed
@@ -28,7 +29,7 @@ def findings(arm: DynamixelConfig | FeetechConfig) -> Iterator[Finding]:
         with _talk(arm) as talk:
             for result in examine(talk, READ_ONLY_CHECKS):
                 yield Finding(_name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.fix)
-    except OSError as error:
+    except PortUnavailableError as error:
         yield Finding("servos", "missing", str(error))
 
 
@@ -47,7 +48,7 @@ def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
                 moving = sure or confirmed(_QUESTION)
             if moving:
                 results += _printed(examine(talk, [check for check in CHECKS if check.moves]))
-    except OSError as error:
+    except PortUnavailableError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     failed = sum(result.outcome == "failed" for result in results)
     print(f"{arm.port}: {len(results) - failed} of {len(results)} checks passed, {failed} failed")
