@@ -1,4 +1,4 @@
-"""The servos' host on the emulated bus of each make: set up, armed, following, stopped; and all that servos do instead."""
+"""The servos' host on the emulated bus of each make: set up, armed, following, stopped, and what servos do instead."""
 
 import math
 import random
