@@ -257,7 +257,8 @@ LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
 def test_host_survives_anything_and_always_moves_on(
     script: list[tuple[float, bytes | ArmState | str | Pose]],
 ) -> None:
-    host, far, t, target, asked, last = ArmHost(AdeptConfig(port="arm")), LineReader(38400), 0.0, None, {"H", "Q"}, Hello()
+    host, far = ArmHost(AdeptConfig(port="arm")), LineReader(38400)
+    t, target, asked, last = 0.0, None, {"H", "Q"}, Hello()
     for gap, action in script:
         t += gap
         match action:

@@ -196,9 +196,7 @@ def test_every_code_of_the_contract_has_a_text() -> None:
 LINE = encode_reply(Ack(1, ArmState.READY, POSE))
 
 
-@pytest.mark.parametrize(
-    "noise", [b"\n", b"\r\n", b"*00\n", b"H*ff\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"]
-)
+@pytest.mark.parametrize("noise", [b"\n", b"\r\n", b"*00\n", b"H*ff\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"])
 def test_unframed_lines_are_counted(noise: bytes) -> None:
     reader = LineReader(BAUD)
     assert len(reader.feed(noise + LINE, 0.0)) == 1
