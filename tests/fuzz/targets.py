@@ -16,7 +16,8 @@ from websockets.datastructures import Headers
 from websockets.exceptions import InvalidHeaderValue
 from websockets.http11 import Request
 
-from palmd.config.pads import TaxelsConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import TaxelsConfig, VersaPadConfig
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, parse, reply_fields
 from palmd.devices.actuator import make_actuator
@@ -24,7 +25,7 @@ from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import Hello, LineReader, LinkError, command_body, encode_command, parse_command, parse_reply
 from palmd.devices.armlink import reply_body as body_of
 from palmd.devices.pad import make_pad
-from palmd.devices.versapad import PadCalibration, PadReceiver, VersaPadDecoder
+from palmd.devices.versapad import VersaPadDecoder
 from palmd.events import PadSample
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import PlanError, compile_plan
@@ -47,7 +48,6 @@ _CONFIG = default_config()
 _LIMITS = motion_limits(_CONFIG)
 _ARM = arm_limits(_CONFIG)
 _HOME = Linkage.from_config(_CONFIG).pose(math.radians(45.0), math.radians(90.0))
-_SCALE = PadCalibration(pad=1, zero_mm=28.0, counts_per_mm=7.874, newtons_per_count=0.02)
 _ARRAYS = tuple(
     TaxelsConfig.model_validate({"kind": "taxels", "port": "a", "zero_mm": 1.0, "columns": 4} | each)
     for each in (
@@ -85,7 +85,7 @@ def _file(data: bytes) -> Path:
 
 def versapad(data: bytes) -> None:
     """A pad's line: every byte is accounted for, times do not run backwards, contacts lie on the pad."""
-    decoder, receiver, t, latest = VersaPadDecoder(BAUD), PadReceiver(_SCALE, BAUD), 0.0, -math.inf
+    decoder, driver, t, latest = VersaPadDecoder(BAUD), make_pad(1, VersaPadConfig(port="a")), 0.0, -math.inf
     for piece in _pieces(data):
         t += (piece[0] % 8) * 0.01
         for packet in decoder.feed(piece, t):
@@ -94,11 +94,11 @@ def versapad(data: bytes) -> None:
             assert 0 <= packet.pressure <= 127
             latest = packet.t_first
         counters = decoder.counters
-        assert counters.bytes == 6 * counters.packets + counters.bytes_discarded + decoder.pending
-        for event in receiver.feed(piece, t):
+        assert counters.bytes == 6 * counters.packets + counters.discarded + decoder.pending
+        for event in driver.feed(piece, t):
             assert event.t_sample <= t
             assert not isinstance(event, PadSample) or 0.0 < event.s <= 0.0565
-        receiver.poll(t)
+        driver.poll(t)
 
 
 def taxels(data: bytes) -> None:
@@ -169,7 +169,7 @@ def _read_again(body: str) -> None:
 
 def armhost(data: bytes) -> None:
     """The host hears anything on a link that is up, and goes on: what it writes are commands."""
-    host, t = ArmHost(BAUD), 0.0
+    host, t = ArmHost(AdeptConfig(port="a", baud=BAUD)), 0.0
     assert host.poll(t, None).data == encode_command(Hello())
     wanted = (host.request_tracking, host.request_stop, host.request_reset)
     for number, piece in enumerate(_pieces(data)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from palmd.config.pads import VersaPadConfig
 from palmd.config.two_palms import PlanSpec
-from palmd.devices.versapad import PadCalibration, PadReceiver
+from palmd.devices.pad import make_pad
 from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
@@ -56,7 +56,7 @@ def turned(
         VersaPadEmulator(config, pad_options, partial(_bent, bend, off), rng, 0.0)
         for bend, off, config in zip(bend_m, imperfections.pads, real, strict=True)
     ]
-    hosts = [_receiver(number, config) for number, config in zip(PADS, configured, strict=True)]
+    hosts = [make_pad(number, config) for number, config in zip(PADS, configured, strict=True)]
     events: list[Event] = []
     t_arm = 0.0
     for k in range(1, int(trajectory.duration / STEP_S)):
@@ -83,16 +83,3 @@ def turned(
 
 def _bent(bend: float, off: PadImperfection, s: float, force: float) -> float:
     return bend * math.sin(math.pi * s / PAD_LENGTH) + off.reading_error_m(s, force)
-
-
-def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:
-    calibration = PadCalibration(
-        number,
-        config.zero_mm,
-        config.counts_per_mm,
-        config.newtons_per_count,
-        sign=1 if config.sign > 0 else -1,
-        length_mm=config.length_mm,
-        corrections_mm=config.corrections_mm,
-    )
-    return PadReceiver(calibration, config.baud)

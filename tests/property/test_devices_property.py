@@ -7,6 +7,8 @@ import math
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import (
     CONTROLLER_NEWLINE,
@@ -31,7 +33,8 @@ from palmd.devices.armlink import (
     parse_command,
     parse_reply,
 )
-from palmd.devices.versapad import PadCalibration, PadPacket, PadReceiver, VersaPadDecoder, encode_packet
+from palmd.devices.pad import make_pad
+from palmd.devices.versapad import PadPacket, VersaPadDecoder, encode_packet
 from palmd.events import PadSample
 
 BAUD = 9600
@@ -92,10 +95,10 @@ def test_every_byte_of_a_pad_is_accounted_for_and_no_split_matters(stream: bytes
     for piece in data.draw(cut(stream)):
         got += [content(packet) for packet in split.feed(piece, 0.0)]
         c = split.counters
-        assert c.bytes == 6 * c.packets + c.bytes_discarded + split.pending
+        assert c.bytes == 6 * c.packets + c.discarded + split.pending
     assert got == expected
     assert split.counters.bytes == len(stream)
-    assert split.counters.bytes_discarded == whole.counters.bytes_discarded
+    assert split.counters.discarded == whole.counters.discarded
 
 
 @given(streams, st.data())
@@ -107,7 +110,7 @@ def test_pad_times_never_run_backwards_nor_lie_in_the_future(stream: bytes, data
             assert packet.t_first <= packet.t_recv == t
             times.append(packet.t_first)
         c = decoder.counters
-        assert c.bytes == 6 * c.packets + c.bytes_discarded + decoder.pending
+        assert c.bytes == 6 * c.packets + c.discarded + decoder.pending
     assert times == sorted(times)
 
 
@@ -127,9 +130,8 @@ def test_one_lost_byte_costs_one_packet(sent: list[bytes], data: st.DataObject) 
 
 
 @given(streams, st.data())
-def test_a_receiver_gives_contacts_on_the_pad_whatever_comes(stream: bytes, data: st.DataObject) -> None:
-    scale = PadCalibration(pad=2, zero_mm=28.0, counts_per_mm=7.874, newtons_per_count=0.02)
-    pad, t = PadReceiver(scale, BAUD), 0.0
+def test_a_pad_gives_contacts_on_the_pad_whatever_comes(stream: bytes, data: st.DataObject) -> None:
+    pad, t = make_pad(2, VersaPadConfig(port="pad")), 0.0
     for piece in data.draw(cut(stream)):
         t += data.draw(gaps)
         for event in pad.feed(piece, t):
@@ -255,7 +257,8 @@ LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
 def test_host_survives_anything_and_always_moves_on(
     script: list[tuple[float, bytes | ArmState | str | Pose]],
 ) -> None:
-    host, far, t, target, asked, last = ArmHost(38400), LineReader(38400), 0.0, None, {"H", "Q"}, Hello()
+    host, far = ArmHost(AdeptConfig(port="arm")), LineReader(38400)
+    t, target, asked, last = 0.0, None, {"H", "Q"}, Hello()
     for gap, action in script:
         t += gap
         match action:

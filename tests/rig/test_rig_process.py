@@ -15,7 +15,8 @@ import pytest
 import serial
 import zmq
 
-from palmd.devices.armhost import ArmHost
+from palmd.config.arms import AdeptConfig
+from palmd.devices.actuator import make_actuator
 from palmd.devices.versapad import VersaPadDecoder
 
 pytestmark = pytest.mark.rig
@@ -102,7 +103,7 @@ def test_ports_speak_the_protocols_and_truth_is_published():
             assert decoder.counters.bad_data + decoder.counters.bad_header == 0
             assert all(packet.in_use and packet.pressure > 0 for packet in packets)
         with serial.Serial(found["arm"], 38400, timeout=0, exclusive=True) as arm:
-            host = ArmHost(38400)
+            host = make_actuator(AdeptConfig(port="arm"))
             deadline = time.monotonic() + 5.0
             while host.state is None and time.monotonic() < deadline:
                 arm.write(host.poll(time.monotonic(), None).data)
@@ -195,7 +196,7 @@ def test_a_configuration_is_obeyed(tmp_path):
         with serial.Serial(found["pad1"], 9600, timeout=0) as pad:
             decoder = VersaPadDecoder(9600)
             decoder.feed(hear(pad, 0.4), 1.0)
-            assert decoder.counters.bytes_discarded > 20
+            assert decoder.counters.discarded > 20
         assert ask("status")["result"]["pad1_bytes_sent"] > 50
 
 

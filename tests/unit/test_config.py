@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from palmd.config.addresses import from_here
 from palmd.config.any_config import config_hash
 from palmd.config.two_palms import Config, PlanSpec, rig_description
-from palmd.devices.servoaxis import RADIANS_PER_COUNT
+from palmd.devices.servobus import RADIANS_PER_COUNT
 from palmd.system.vibration import AVERAGED, Vibration
 from palmd.yamlfile import load_config
 

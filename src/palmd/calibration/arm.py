@@ -7,12 +7,10 @@ import math
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config.two_palms import Config
@@ -21,8 +19,9 @@ from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.devices.actuator import ArmState, Pose
-from palmd.devices.armconformance_port import ArmLine, ArmLineError
+from palmd.devices.armconformance_port import ArmLine
 from palmd.devices.armconformance_talk import DeviationError, Script, Talk
+from palmd.devices.port import PortUnavailableError
 from palmd.doctor.ports import holders
 
 FORMAT = 1
@@ -40,36 +39,29 @@ _MAX_RMS_M = 3e-4
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
-    add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
-    add(
-        "--seconds",
-        type=seconds_within(3.0, 600.0),
-        default=40.0,
-        metavar="S",
-        help="from the first motion (default: %(default)g)",
-    )
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for arm.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_config(parser, "the rig's configuration, palmd.yaml")
+    parser.add_argument("--seconds", type=seconds_within(3.0, 600.0), default=40.0, metavar="S",
+                        help="from the first motion (default: %(default)g)")  # fmt: skip
+    add_output(parser, "arm.yaml")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before everything is measured; CliError if the input is wrong or the poses do not suffice."""
     config = configured(arguments.config)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     adept_arm(config)
     poses = _listen(config, arguments.seconds)
     try:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
     except TooLittleSwingError as error:
         raise CliError(RIG_FAILED, f"arm: {error}") from None
-    print(table(fit))
-    for remark in remarks(fit):
-        print(remark, file=sys.stderr)
-    result = folder / "arm.yaml"
-    write(result, document(fit, config))
-    print(f"written: {result}")
-    print(f"{arguments.config}: write in these sections:\n{lines(proposed_settings(fit, config))}")
+    report(table(fit), remarks(fit))
+    settings = proposed_settings(fit, config)
+    numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
+    results = {"poses": fit.poses} | plain({_key(name): _scaled(name, value) for name, value in numbers.items()})
+    section = changed(config, settings["rig"], settings["arm"])
+    store(folder / "arm.yaml", document({"palmd_arm_calibration": FORMAT}, section, settings, results))
+    print(f"{arguments.config}: write in these sections:\n{lines(settings)}")
     return 0
 
 
@@ -114,18 +106,6 @@ def proposed_settings(fit: LinkageFit, config: Config) -> dict[str, dict[str, fl
     }
 
 
-def document(fit: LinkageFit, config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` has the proposed settings, the hash is of sections rig and arm with them."""
-    values = proposed_settings(fit, config)
-    numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
-    return {
-        "palmd_arm_calibration": FORMAT,
-        **provenance(changed(config, values["rig"], values["arm"])),
-        "configuration": values,
-        "found": {"poses": fit.poses} | plain({_key(name): _scaled(name, value) for name, value in numbers.items()}),
-    }
-
-
 def _is_angle(name: str) -> bool:
     return name.startswith(("tool", "span"))
 
@@ -147,7 +127,7 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
     try:
         with ArmLine(path, config.arm.baud) as line, Progress("arm", math.ceil(seconds), "s") as progress:
             return line.play(_record_swing(Talk(config.arm.baud), seconds, progress))
-    except ArmLineError as error:
+    except PortUnavailableError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     except DeviationError as error:
         raise CliError(

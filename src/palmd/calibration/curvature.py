@@ -7,13 +7,12 @@ Arms the arm if necessary, and then stops it at the end. Keep a hand at the emer
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 from palmd.calibration import cylinder_session
-from palmd.calibration.files import plain, provenance, write
+from palmd.calibration.files import document, plain, report, store
 from palmd.calibration.pad_curvature import PadCurvature, pad_curvatures
 from palmd.config.two_palms import Config
 from palmd.system.mechanism import PALMS
@@ -32,15 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both palms are measured; CliError if the input is wrong or the rig fails."""
     config, folder, found = cylinder_session.turn_and_measure(arguments, pad_curvatures)
-    print(table(found))
-    for remark in remarks(found, config):
-        print(remark, file=sys.stderr)
+    report(table(found), remarks(found, config))
     settings = proposed_settings(found)
-    origin = provenance(config.rig.model_copy(update=settings))
     results = {f"palm{number}": plain(asdict(palm)) for number, palm in zip(PALMS, found, strict=True)}
-    content = {"palmd_curvature": FORMAT, "radius_mm": arguments.radius_mm, **origin}
-    write(folder / FILE, {**content, "configuration": {"rig": settings}, "found": results})
-    print(f"written: {folder / FILE}")
+    header = {"palmd_curvature": FORMAT, "radius_mm": arguments.radius_mm}
+    store(folder / FILE, document(header, config.rig.model_copy(update=settings), {"rig": settings}, results))
     text = ", ".join(f"{name}: {value}" for name, value in settings.items())
     print(f"{arguments.config}: write in rig: {text}")
     return 0

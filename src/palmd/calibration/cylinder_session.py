@@ -15,7 +15,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.calibration.cylinder import CylinderError, turning_plan
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, result_folder, store
 from palmd.config.addresses import from_here
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
@@ -44,13 +44,16 @@ MAX_RADIUS_MM = 1000.0
 
 def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
     """The configuration, the cylinder's radius, the folder for the file `written`, and the key."""
-    add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the running daemon's configuration, palmd.yaml")
-    add("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_config(parser, "the running daemon's configuration, palmd.yaml")
+    add_radius(parser)
+    add_output(parser, written)
     add_key(parser)
     parser.set_defaults(resumes=None)  # of `PlanRun`; a guided capture sets it
+
+
+def add_radius(parser: argparse.ArgumentParser) -> None:
+    """The cylinder's radius."""
+    parser.add_argument("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
 
 
 def within(upper: float) -> Callable[[str], float]:
@@ -63,11 +66,6 @@ def within(upper: float) -> Callable[[str], float]:
         return value
 
     return number
-
-
-def pads(config: Config) -> tuple[PadConfig, ...]:
-    """Both pads' sections."""
-    return config.pads.each()
 
 
 @contextmanager
@@ -136,10 +134,10 @@ def turn_and_measure(
     radius_m = arguments.radius_mm * 1e-3
     with exit_on_error(BAD_INPUT):
         plan = turning_plan(radius_m, motion_limits(config))
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     events = recorded_events(arguments, config, plan)
     with exit_on_error(RIG_FAILED):
-        return config, folder, measure(events, pads(config), radius_m, config.rig.curvatures_per_m)
+        return config, folder, measure(events, config.pads.each(), radius_m, config.rig.curvatures_per_m)
 
 
 def store_result(
@@ -156,9 +154,7 @@ def store_result(
     """
     updated = {palm: getattr(config.pads, palm).model_copy(update=new) for palm, new in proposed.items()}
     settings = {palm: dict(new) for palm, new in proposed.items()}
-    origin = provenance(config.pads.model_copy(update=updated))
-    write(path, {**header, **origin, "configuration": settings, "found": plain(dict(found))})
-    print(f"written: {path}")
+    store(path, document(header, config.pads.model_copy(update=updated), settings, plain(dict(found))))
     for palm, new in settings.items():
         text = ", ".join(f"{key}: {value}" for key, value in new.items())
         print(f"{arguments.config}: write in pads.{palm}: {text}")

@@ -6,14 +6,13 @@ Arms the arm if necessary, and then stops it at the end. Keep a hand at the emer
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 from palmd.calibration import cylinder_session
 from palmd.calibration.cylinder import tipping_plan
-from palmd.calibration.files import writable
+from palmd.calibration.files import report, result_folder
 from palmd.calibration.pad_force import MIN_ROUNDS, Forces, pad_forces
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
@@ -47,14 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
     weight_n = arguments.mass_g * 1e-3 * config.rig.gravity_m_s2
     with cylinder_session.exit_on_error(BAD_INPUT):
         plan, rests = tipping_plan(radius_m, limits, arguments.rounds)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     events = cylinder_session.recorded_events(arguments, config, plan)
     with cylinder_session.exit_on_error(RIG_FAILED):
-        pads, curvatures = cylinder_session.pads(config), config.rig.curvatures_per_m
-        found = pad_forces(events, pads, weight_n, rests, radius_m=radius_m, curvatures=curvatures)
-    print(table(found))
-    for remark in remarks(found):
-        print(remark, file=sys.stderr)
+        found = pad_forces(
+            events, config.pads.each(), weight_n, rests, radius_m=radius_m, curvatures=config.rig.curvatures_per_m
+        )
+    report(table(found), remarks(found))
     header = {"palmd_pads_force": FORMAT, "radius_mm": arguments.radius_mm, "mass_g": arguments.mass_g}
     results = asdict(found)
     cylinder_session.store_result(folder / "force.yaml", header, arguments, config, proposed_settings(found), results)

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines, palm_base_in_arm
 from palmd.calibration.rolling_fit import (
     INERTIA,
@@ -43,8 +40,8 @@ _MAX_SCATTER = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the configuration that the daemon runs with, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the configuration that the daemon runs with, palmd.yaml")
     add("--roller", choices=INERTIA, default="ball", help="what rolls; a cylinder must be solid (default: %(default)s)")
     add("--rolls", type=_rolls, default=40, metavar="N",
         help="on each steep slope, a third of it on each gentle one (default: %(default)s)")  # fmt: skip
@@ -52,15 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long both pads must be free before the palms move (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for gravity.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_output(parser, "gravity.yaml")
     add_key(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before everything is measured; CliError if the daemon refuses or the rolls do not suffice."""
     config = with_flat_palms(arguments.config, "what rolls down a palm")
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     key = credentials(arguments)
     command, publish = arguments.address or config.bus.command, arguments.listen or config.bus.publish
     slopes = list(slopes_within(config.limits, arguments.rolls))
@@ -82,13 +78,23 @@ def run(arguments: argparse.Namespace) -> int:
         fit = fit_gravity(session.rolls, arguments.roller)
     except TooFewRollsError as error:
         raise CliError(RIG_FAILED, f"gravity: {error}") from None
-    print(table(fit, arguments.roller, session.too_short, session.not_smooth))
-    for remark in remarks(fit, arguments.roller):
-        print(remark, file=sys.stderr)
-    result = folder / "gravity.yaml"
-    write(result, document(fit, arguments.roller, config))
-    print(f"written: {result}")
-    print(f"{arguments.config}: write in these sections:\n{lines(proposed_settings(fit, config))}")
+    kind = arguments.roller
+    report(table(fit, kind, session.too_short, session.not_smooth), remarks(fit, kind))
+    settings = proposed_settings(fit, config)
+    numbers = {
+        "gravity_m_s2": fit.g,
+        "gravity_sd_m_s2": fit.g_sd,
+        "yaw_error_deg": math.degrees(fit.delta),
+        "yaw_error_sd_deg": math.degrees(fit.delta_sd),
+        "rolling_resistance": fit.resistance,
+        "rolling_resistance_sd": fit.resistance_sd,
+        "scatter": fit.scatter,
+    }
+    results = plain(numbers) | {"slopes": [plain(asdict(row)) for row in by_slope(fit, kind)]}
+    section = changed(config, settings["rig"], settings["arm"])
+    header = {"palmd_gravity_calibration": FORMAT}
+    store(folder / "gravity.yaml", document(header, section, settings, results, {"roller": kind}))
+    print(f"{arguments.config}: write in these sections:\n{lines(settings)}")
     return 0
 
 
@@ -158,27 +164,6 @@ def proposed_settings(fit: GravityFit, config: Config) -> dict[str, dict[str, fl
     return {
         "rig": {"gravity_m_s2": round(fit.g, 4)},
         "arm": {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg},
-    }
-
-
-def document(fit: GravityFit, kind: RollerKind, config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` has the proposed settings, the hash is of sections rig and arm with them."""
-    values = proposed_settings(fit, config)
-    numbers = {
-        "gravity_m_s2": fit.g,
-        "gravity_sd_m_s2": fit.g_sd,
-        "yaw_error_deg": math.degrees(fit.delta),
-        "yaw_error_sd_deg": math.degrees(fit.delta_sd),
-        "rolling_resistance": fit.resistance,
-        "rolling_resistance_sd": fit.resistance_sd,
-        "scatter": fit.scatter,
-    }
-    return {
-        "palmd_gravity_calibration": FORMAT,
-        **provenance(changed(config, values["rig"], values["arm"])),
-        "roller": kind,
-        "configuration": values,
-        "found": plain(numbers) | {"slopes": [plain(asdict(row)) for row in by_slope(fit, kind)]},
     }
 
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.calibration.cylinder_session import MAX_RADIUS_MM, within
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.cylinder_session import add_radius
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.pivot_height import HeightError, PivotHeight, pivot_height
 from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.console.configured import any_configured
@@ -36,12 +35,12 @@ _PALM = f"palm{PAD}"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
-    add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the configuration that the run was recorded with, palmd.yaml")
-    add("run", type=Path, metavar="RUN", help="a recorded run (.mcap) with the cylinder, or its event log")
-    add("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help=f"for {FILE}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_config(parser, "the configuration that the run was recorded with, palmd.yaml")
+    parser.add_argument(
+        "run", type=Path, metavar="RUN", help="a recorded run (.mcap) with the cylinder, or its event log"
+    )
+    add_radius(parser)
+    add_output(parser, FILE)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,20 +48,17 @@ def run(arguments: argparse.Namespace) -> int:
     config = any_configured(arguments.config)
     if not isinstance(config, PivotConfig):
         raise CliError(BAD_INPUT, f"{arguments.config}: is not of a pivoting grasp; two palms have no pivot")
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     events = _events(arguments.run, arguments.config, config)
     try:
         found = pivot_height(events, pivot_rig(config), arguments.radius_mm * 1e-3)
     except HeightError as error:
         raise CliError(BAD_INPUT, f"{arguments.run}: {error}") from None
-    print(table(found))
-    for remark in remarks(found):
-        print(remark, file=sys.stderr)
+    report(table(found), remarks(found))
     settings = proposed_settings(found, config)
-    origin = provenance(config.arm.model_copy(update=settings["arm"]))
-    content = {"palmd_height": FORMAT, "radius_mm": arguments.radius_mm, **origin}
-    write(folder / FILE, {**content, "configuration": settings, "found": plain(asdict(found))})
-    print(f"written: {folder / FILE}")
+    header = {"palmd_height": FORMAT, "radius_mm": arguments.radius_mm}
+    section = config.arm.model_copy(update=settings["arm"])
+    store(folder / FILE, document(header, section, settings, plain(asdict(found))))
     print(f"{arguments.config}: write in these sections:")
     print(f"  arm: base_x_mm: {settings['arm']['base_x_mm']}, base_y_mm: {settings['arm']['base_y_mm']}")
     print(f"  pads.{_PALM}: standoff_sd_mm: {settings['pads'][_PALM]['standoff_sd_mm']}")

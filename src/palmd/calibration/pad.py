@@ -9,17 +9,26 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from palmd.calibration.files import not_written, plain, provenance, writable, write
+from palmd.calibration.files import (
+    add_config,
+    add_output,
+    document,
+    not_written,
+    plain,
+    report,
+    result_folder,
+    write,
+)
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config.pads import PadConfig
 from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
-from palmd.devices.pad import PadDriver, PadReport, make_pad
-from palmd.devices.port import PortWaiter
+from palmd.devices.pad import PadReport
+from palmd.devices.padlistener import PadListener
+from palmd.devices.port import PortUnavailableError, PortWaiter
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
 
@@ -34,40 +43,32 @@ _LEAST_NOISE_MM = 0.001
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the rig's configuration, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # kept for compatibility
     add("--pad", type=int, choices=PALMS, required=True, help="of which palm")
-    add(
-        "--seconds",
-        type=seconds_within(2.0, 600.0),
-        default=20.0,
-        metavar="S",
-        help="from the first touch (default: %(default)s)",
-    )
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for padN.yaml and padN.svg, which are overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add("--seconds", type=seconds_within(2.0, 600.0), default=20.0, metavar="S",
+        help="from the first touch (default: %(default)s)")  # fmt: skip
+    add_output(parser, "padN.yaml and padN.svg")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the pad is measured; CliError if the input is wrong or the reports do not suffice."""
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
-    pad = make_pad(arguments.pad, config)
-    packets = _listen(name, config, pad, arguments.seconds)
+    folder = result_folder(arguments)
+    packets, counts = _listen(arguments.pad, config, arguments.seconds)
     try:
-        found = characterise(packets, pad.counts(), config)
+        found = characterise(packets, counts, config)
     except TooFewReportsError as error:
         raise CliError(RIG_FAILED, f"{name}: {error}") from None
-    print(table(name, found, config))
-    for remark in remarks(name, found, config):
-        print(remark, file=sys.stderr)
-    result = folder / f"{name}.yaml"
-    write(result, document(arguments.pad, found, config))
+    report(table(name, found, config), remarks(name, found, config))
+    settings, result = {"noise_mm": noise_mm(found, config)}, folder / f"{name}.yaml"
+    header, section = {"palmd_pad_characteristic": FORMAT}, config.model_copy(update=settings)
+    write(result, document(header, section, settings, plain(asdict(found)), {"pad": arguments.pad}))
     figure = _draw(packets, found, config, folder / f"{name}.svg")
     print(f"written: {', '.join(map(str, [result, *figure]))}")
-    print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {noise_mm(found, config):g}")
+    print(f"{arguments.config}: write in pads.palm{arguments.pad}: noise_mm: {settings['noise_mm']:g}")
     return 0
 
 
@@ -110,18 +111,6 @@ def noise_mm(found: PadCharacteristic, config: PadConfig) -> float:
     return max(round(max(along.noise_mm, along.noise_sd_mm), 3), _LEAST_NOISE_MM)
 
 
-def document(pad: int, found: PadCharacteristic, config: PadConfig) -> dict[str, Any]:
-    """The stored result; `configuration` has the pad's proposed settings, the hash is of the section with them."""
-    settings = {"noise_mm": noise_mm(found, config)}
-    return {
-        "palmd_pad_characteristic": FORMAT,
-        **provenance(config.model_copy(update=settings)),
-        "pad": pad,
-        "configuration": settings,
-        "found": plain(asdict(found)),
-    }
-
-
 def _axis_row(axis: AxisCharacteristic) -> str:
     return (
         f"noise {axis.noise_mm:.3f} ± {axis.noise_sd_mm:.3f} mm, step {axis.step_mm:.3f} mm,"
@@ -137,42 +126,31 @@ def _pad_config(path: Path, pad: int) -> PadConfig:
     return pads.of(pad)
 
 
-def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> list[PadReport]:
-    """All reports from the first on; CliError if the port fails or nobody touches the pad."""
-    port = pad.port()
-    t = time.monotonic()
-    if not port.poll_open(t):
-        raise CliError(RIG_FAILED, str(port.error))
-    pad.opened(t)
-    waiter = PortWaiter([port])
-    packets: list[PadReport] = []
-    print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+def _listen(number: int, config: PadConfig, seconds: float) -> tuple[list[PadReport], dict[str, int]]:
+    """All reports from the first on, and the driver's counters; CliError if the port fails or there is no touch."""
+    name, packets = f"pad{number}", list[PadReport]()
     try:
-        with Progress(name, math.ceil(seconds), "s") as progress:
+        with PadListener(number, config) as listener, Progress(name, math.ceil(seconds), "s") as progress:
+            waiter = PortWaiter([listener.port])
+            print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+            t = time.monotonic()
             t_begin, t_end = math.inf, t + FIRST_TOUCH_S
             while t < t_end:
                 waiter.wait(min(t + _LOOK_S, t_end))
-                data = port.read()
+                packets += listener.read()
                 t = time.monotonic()
-                packets += pad.reports(data, t)
-                pad.tend(port, t)
-                if not port.is_open:
-                    raise CliError(RIG_FAILED, str(port.error))
                 if math.isinf(t_begin) and any(packet.in_use for packet in packets):
                     t_begin, t_end = t, t + seconds
                 progress.at(int(max(t - t_begin, 0.0)))
-    finally:
-        port.close()
-    if math.isinf(t_begin):
-        raise CliError(RIG_FAILED, _silence(name, config, pad))
-    return packets
-
-
-def _silence(name: str, config: PadConfig, pad: PadDriver) -> str:
-    if pad.diagnosis is not None:
-        return f"{name}: {pad.diagnosis}"
-    return (
-        f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port"
+    except PortUnavailableError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
+    if not math.isinf(t_begin):
+        return packets, listener.driver.counts()
+    if listener.driver.diagnosis is not None:
+        raise CliError(RIG_FAILED, f"{name}: {listener.driver.diagnosis}")
+    raise CliError(
+        RIG_FAILED,
+        f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port",
     )
 
 

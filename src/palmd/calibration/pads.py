@@ -6,13 +6,13 @@ Arms the arm if necessary, and then stops it at the end. Keep a hand at the emer
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from palmd.calibration import cylinder_session
+from palmd.calibration.files import report
 from palmd.calibration.pad_scale import PadScaleResult, pad_scales
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
@@ -37,9 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are measured; CliError if the input is wrong or the rig fails."""
     config, folder, found = cylinder_session.turn_and_measure(arguments, partial(pad_scales, curved=arguments.curve))
-    print(table(found))
-    for remark in remarks(found, config):
-        print(remark, file=sys.stderr)
+    report(table(found), remarks(found, config))
     header = {"palmd_pads_scale": FORMAT, "radius_mm": arguments.radius_mm}
     results = {f"palm{number}": asdict(pad) for number, pad in enumerate(found, 1)}
     cylinder_session.store_result(folder / "pads.yaml", header, arguments, config, proposed_settings(found), results)
@@ -65,7 +63,7 @@ def _curve(pad: PadScaleResult) -> str:
 
 def remarks(found: Scales, config: Config) -> Iterator[str]:
     """Warnings for the operator."""
-    configured: tuple[PadConfig, ...] = cylinder_session.pads(config)
+    configured: tuple[PadConfig, ...] = config.pads.each()
     ratios = [pad.counts_per_mm / old.counts_per_mm for pad, old in zip(found, configured, strict=True)]
     if min(abs(ratio - 1.0) for ratio in ratios) > _MIN_SCALE_ERROR and abs(ratios[0] - ratios[1]) < _SAME_SCALE_ERROR:
         yield (

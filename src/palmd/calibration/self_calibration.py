@@ -9,21 +9,23 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
-from palmd.calibration.self_fit import RigFit, combined
 from palmd.config.arms import ServosConfig
 from palmd.config.two_palms import Config, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.events import FloatArray
 from palmd.model.smoothing import R
 from palmd.observer.criticism import RigBelief, criticised
 from palmd.observer.reconstruct import reconstruct
@@ -33,7 +35,7 @@ from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import read_run
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
-from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, shown
+from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, determined, shown
 
 FORMAT = 1
 Sections = dict[str, dict[str, float]]
@@ -47,20 +49,45 @@ _READING_KEYS = (
 _MAX_DEVIATION = 4.0  # 1σ of a run
 
 
+@dataclass(frozen=True, slots=True)
+class RigFit:
+    """Errors of the constants in `system.rig_constants.RIG_TABLE`, their covariance, and their priors' 1σ."""
+
+    values: FloatArray
+    covariance: FloatArray
+    priors: FloatArray
+
+    @property
+    def sds(self) -> FloatArray:
+        """1σ of each constant."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def determined(self) -> npt.NDArray[np.bool_]:
+        """Which constants the runs determine."""
+        return determined(self.sds, self.priors)
+
+    @property
+    def independent_sds(self) -> FloatArray:
+        """1σ values whose diagonal covariance bounds the joint covariance; limited to those of the priors."""
+        correlation = self.covariance / np.outer(self.sds, self.sds)
+        widening = math.sqrt(np.linalg.eigvalsh(correlation)[-1])
+        return np.minimum(widening * self.sds, self.priors)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the configuration that the runs were recorded with, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the configuration that the runs were recorded with, palmd.yaml")
     add("runs", type=Path, nargs="+", metavar="RUN", help="recorded runs (.mcap), or event logs of this rig")
     add("--seed", type=seed, default=0, metavar="N", help="of the blind starts (default: %(default)s)")
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help="for self.yaml, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_output(parser, "self.yaml")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before all runs are reconstructed; CliError if one cannot be used, or none is reconstructed."""
     config = configured(arguments.config)
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     logs = {path: _read(path, arguments.config, config) for path in arguments.runs}
     if len({path.resolve() for path in logs}) < len(arguments.runs):
         raise CliError(BAD_INPUT, "a run is given twice: its information would count twice")
@@ -68,16 +95,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not answers:
         raise CliError(BAD_INPUT, "self: no run was reconstructed: record longer ones, with more of an object touched")
     fit = fitted(list(answers.values()), rig_description(config))
-    print(table(fit, len(answers)))
-    for remark in remarks(fit, answers):
-        print(remark, file=sys.stderr)
+    report(table(fit, len(answers)), remarks(fit, answers))
     values = proposed_settings(fit, config)
     if not values:
         print(f"{arguments.config}: nothing to write: the runs determine neither a zero, a scale nor the yaw")
         return 0
-    result = folder / "self.yaml"
-    write(result, document(fit, values, list(answers), config))
-    print(f"written: {result}")
+    header, inputs = {"palmd_self_calibration": FORMAT}, {"runs": [str(path) for path in answers]}
+    store(folder / "self.yaml", document(header, applied(config, values), plain(values), _results(fit), inputs))
     print(f"{arguments.config}: write in these sections:\n{lines(values)}")
     return 0
 
@@ -88,6 +112,22 @@ def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
     runs = [(*(each.rig_by_prior or (each.rig, each.rig_covariance)), each.rig_prior_sd) for each in answers]
     together = combined(runs, prior_sd)
     return combined(runs, criticised(together.values, together.covariance, prior_sd, prior_sd).sd)
+
+
+def combined(runs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], priors: FloatArray) -> RigFit:
+    """Combine the runs: add each posterior's (mean, covariance) information beyond its prior's, and `priors` once.
+
+    Priors have mean zero and nonzero 1σ; the third item of a run is the prior with which it was reconstructed.
+    """
+    units, own = np.outer(priors, priors), np.eye(len(priors))
+    information: FloatArray = own.copy()
+    side = np.zeros(len(priors))
+    for mean, covariance, prior in runs:
+        of_run = np.linalg.inv(covariance / units)
+        information += of_run - np.diag((priors / prior) ** 2)
+        side += of_run @ (mean / priors)
+    together = np.linalg.inv(information)
+    return RigFit(priors * (together @ side), together * units, priors)
 
 
 def table(fit: RigFit, runs: int) -> str:
@@ -155,20 +195,13 @@ def applied(config: Config, sections: Sections) -> Config:
     return Config.model_validate(changed)
 
 
-def document(fit: RigFit, values: Sections, runs: Sequence[Path], config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` has the proposed settings, the hash is of the configuration with them."""
+def _results(fit: RigFit) -> dict[str, Any]:
     found = zip(
         RIG_NAMES, fit.values.tolist(), fit.sds.tolist(), fit.priors.tolist(), fit.determined.tolist(), strict=True
     )
     return {
-        "palmd_self_calibration": FORMAT,
-        **provenance(applied(config, values)),
-        "runs": [str(path) for path in runs],
-        "configuration": plain(values),
-        "found": {
-            name: {"value": value, "sd": sd, "prior_sd": prior, "told": is_determined}
-            for name, value, sd, prior, is_determined in found
-        },
+        name: {"value": value, "sd": sd, "prior_sd": prior, "told": is_determined}
+        for name, value, sd, prior, is_determined in found
     }
 
 

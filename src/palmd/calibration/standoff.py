@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,13 +17,12 @@ from palmd.calibration import cylinder_session
 from palmd.calibration.cylinder import turning_plan
 from palmd.calibration.cylinder_session import (
     exit_on_error,
-    pads,
     recorded_events,
     store_result,
     wait_until_removed,
     within,
 )
-from palmd.calibration.files import writable
+from palmd.calibration.files import report, result_folder
 from palmd.calibration.pad_standoff import MIN_RATIO, PadStandoff, pad_standoffs
 from palmd.config.two_palms import Config
 from palmd.console.configured import with_flat_palms
@@ -62,17 +60,15 @@ def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], Non
         )
     with exit_on_error(BAD_INPUT):
         plans = [turning_plan(radius_mm * 1e-3, motion_limits(config)) for radius_mm in radii_mm]
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     names = [f"the cylinder of {radius_mm:g} mm" for radius_mm in radii_mm]
     sessions = [recorded_events(arguments, config, plans[0], cylinder=names[0])]
     exchange(config, names[0])
     sessions.append(recorded_events(arguments, config, plans[1], cylinder=names[1]))
     radii_m = (radii_mm[0] * 1e-3, radii_mm[1] * 1e-3)
     with exit_on_error(RIG_FAILED):
-        found = pad_standoffs(sessions, pads(config), radii_m, math.radians(_opening_sd_deg(config)))
-    print(table(found))
-    for remark in remarks(found, config):
-        print(remark, file=sys.stderr)
+        found = pad_standoffs(sessions, config.pads.each(), radii_m, math.radians(_opening_sd_deg(config)))
+    report(table(found), remarks(found, config))
     results = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
     kind = {"palmd_standoff": FORMAT, "radius_mm": radii_mm[0], "second_radius_mm": radii_mm[1]}
     store_result(folder / FILE, kind, arguments, config, proposed_settings(found), results)
@@ -98,7 +94,7 @@ def table(found: Sequence[PadStandoff]) -> str:
 
 def remarks(found: Sequence[PadStandoff], config: Config) -> Iterator[str]:
     """Warnings for the operator."""
-    for number, pad, pad_config in zip(PALMS, found, pads(config), strict=True):
+    for number, pad, pad_config in zip(PALMS, found, config.pads.each(), strict=True):
         if abs(pad.standoff_mm) > _SIGNIFICANCE * pad.standoff_sd_mm:
             side, verb = ("above", "lower") if pad.standoff_mm > 0.0 else ("below", "raise")
             yield (

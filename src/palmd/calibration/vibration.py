@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
 from palmd.calibration.cylinder_session import within
-from palmd.calibration.files import plain, provenance, writable, write
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import found
 from palmd.config.any_config import AnyConfig
 from palmd.config.vibration import MOST_HZ, VibrationConfig, vibration_of
@@ -30,8 +29,8 @@ _MOST_SHARE = 0.5  # largest standard deviation of a speed over the speed (conve
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
+    add_config(parser, "the configuration of the rig, palmd.yaml")
     add = parser.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the configuration of the rig, palmd.yaml")
     add("--acceleration-m-s2", type=within(_MOST_M_S2), required=True, metavar="A",
         help="amplitude (peak, not RMS) of the pad's acceleration along the palm")  # fmt: skip
     add("--acceleration-sd-m-s2", type=within(_MOST_M_S2), required=True, metavar="SD",
@@ -39,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--frequency-hz", type=within(MOST_HZ), required=True, metavar="F", help="of the vibration")
     add("--frequency-sd-hz", type=within(MOST_HZ), metavar="SD",
         help="one standard deviation of it (default: known exactly)")  # fmt: skip
-    add("-o", "--output", type=Path, metavar="FOLDER",
-        help=f"for {FILE}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
+    add_output(parser, FILE)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.config}: rig.vibration.relation is none: palms without a shaker have no speed to measure; set"
             " the relation of the shakers first",
         )
-    folder = writable(arguments.output or arguments.config.parent / "calibration")
+    folder = result_folder(arguments)
     frequency, frequency_sd = arguments.frequency_hz, arguments.frequency_sd_hz
     speed, sd = speed_from_acceleration(
         (arguments.acceleration_m_s2, arguments.acceleration_sd_m_s2), (frequency, frequency_sd or 0.0)
@@ -64,19 +62,11 @@ def run(arguments: argparse.Namespace) -> int:
     values = {"frequency_hz": frequency, "speed_m_s": _rounded(speed), "speed_sd_m_s": _rounded(sd)}
     values |= {} if frequency_sd is None else {"frequency_sd_hz": frequency_sd}
     changed = with_vibration(config, values, arguments.config)
-    print(table(speed, sd, config))
-    for note in shaking_of(changed):
-        print(f"{arguments.config}: {note}", file=sys.stderr)
-    content = {
-        "palmd_vibration": FORMAT,
-        **provenance(changed.rig),
-        "acceleration_m_s2": arguments.acceleration_m_s2,
-        "acceleration_sd_m_s2": arguments.acceleration_sd_m_s2,
-        "configuration": {"rig": {"vibration": values}},
-        "found": plain({"speed_mm_s": speed * 1e3, "speed_sd_mm_s": sd * 1e3}),
-    }
-    write(folder / FILE, content)
-    print(f"written: {folder / FILE}")
+    report(table(speed, sd, config), [f"{arguments.config}: {note}" for note in shaking_of(changed)])
+    inputs = {key: getattr(arguments, key) for key in ("acceleration_m_s2", "acceleration_sd_m_s2")}
+    results = plain({"speed_mm_s": speed * 1e3, "speed_sd_mm_s": sd * 1e3})
+    settings = {"rig": {"vibration": values}}
+    store(folder / FILE, document({"palmd_vibration": FORMAT}, changed.rig, settings, results, inputs))
     print(f"{arguments.config}: write in rig.vibration:")
     for key, value in values.items():
         print(f"  {key}: {value}")

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 from palmd.devices.actuator import ArmState, Pose
@@ -97,12 +98,16 @@ def _moved(pose: Pose, x_m: float = 0.0, y_m: float = 0.0, t_rad: float = 0.0) -
     return Pose(pose.x_m + x_m, pose.y_m + y_m, math.remainder(pose.t_rad + t_rad, math.tau))
 
 
+def _is_within(limits: HelloReply, pose: Pose) -> bool:
+    return limits.x_min_m <= pose.x_m <= limits.x_max_m and limits.y_min_m <= pose.y_m <= limits.y_max_m
+
+
 def _pose_inside(talk: Talk, distance_m: float) -> Pose:
     """Return a pose at this distance from rest, inside the workspace; NotExaminedError if there is no room."""
     limits, rest = talk.limits, talk.rest
     for x_m, y_m in ((distance_m, 0.0), (-distance_m, 0.0), (0.0, distance_m), (0.0, -distance_m)):
         pose = _moved(rest, x_m, y_m)
-        if limits.x_min_m <= pose.x_m <= limits.x_max_m and limits.y_min_m <= pose.y_m <= limits.y_max_m:
+        if _is_within(limits, pose):
             return pose
     raise NotExaminedError(f"the workspace has no room of {distance_m * 1e3:.0f} mm around the arm's pose")
 
@@ -137,17 +142,14 @@ def _answers_hello(talk: Talk) -> Script[str]:
 
 
 def _answers_query(talk: Talk) -> Script[str]:
-    ss = talk.next_ss()
-    heard = yield from talk.send(Query(ss))
-    ack = expect_ack(heard.lines, ss)
-    limits = talk.limits
-    within = limits.x_min_m <= ack.pose.x_m <= limits.x_max_m and limits.y_min_m <= ack.pose.y_m <= limits.y_max_m
-    _require(within, "a pose inside the workspace", heard.lines[0].body)
+    heard, ack = yield from talk.ask(Query)
+    _require(_is_within(talk.limits, ack.pose), "a pose inside the workspace", heard.lines[0].body)
     talk.home = ack.pose
     if ack.state is not ArmState.READY:
         raise NotExaminedError(f"the controller is in state {ack.state} ({ack.state.name}); bring it to READY first")
     late = heard.lines[0].t_first - talk.arrived(heard, 7)
-    _require(late <= limits.cycle_s + HOST_TOLERANCE_S, f"an answer within {_ms(limits.cycle_s)}", _ms(late))
+    cycle = talk.limits.cycle_s
+    _require(late <= cycle + HOST_TOLERANCE_S, f"an answer within {_ms(cycle)}", _ms(late))
     return f"{heard.lines[0].body} after {_ms(late)}"
 
 
@@ -184,11 +186,9 @@ def _resynchronises(talk: Talk) -> Script[str]:
 
 
 def _repeats_answer(talk: Talk) -> Script[str]:
-    ss = talk.next_ss()
-    first = yield from talk.send(Query(ss))
-    expect_ack(first.lines, ss)
-    second = yield from talk.send(Query(ss))
-    expect_ack(second.lines, ss)
+    first, ack = yield from talk.ask(Query)
+    second = yield from talk.send(Query(ack.ss))
+    expect_ack(second.lines, ack.ss)
     same = first.lines[0].body == second.lines[0].body
     _require(same, first.lines[0].body, second.lines[0].body)
     return f"{first.lines[0].body}, twice"
@@ -202,42 +202,29 @@ def _wraps_numbers(talk: Talk) -> Script[str]:
 
 
 def _refuses_setpoints_at_rest(talk: Talk) -> Script[str]:
-    ss = talk.next_ss()
-    heard = yield from talk.send(SetPoint(ss, talk.rest))
-    expect_refusal(heard.lines, ss, WRONG_STATE)
-    return as_text(heard.lines)
+    return as_text((yield from talk.refused(partial(SetPoint, pose=talk.rest), WRONG_STATE)))
 
 
 def _acknowledges_no_change(talk: Talk) -> Script[str]:
-    seen = []
-    for kind in (Stop, Reset):
-        ss = talk.next_ss()
-        heard = yield from talk.send(kind(ss))
-        expect_ack(heard.lines, ss, ArmState.READY)
-        seen += heard.lines
-    return as_text(seen)
+    stop, _ = yield from talk.ask(Stop, ArmState.READY)
+    reset, _ = yield from talk.ask(Reset, ArmState.READY)
+    return as_text([*stop.lines, *reset.lines])
 
 
 # -- tracking, without motion ----------------------------------------------------------------------------------
 
 
 def _starts(talk: Talk) -> Script[str]:
-    ss = talk.next_ss()
-    heard = yield from talk.send(Start(ss), listen_s=0.03)
-    expect_ack(heard.lines, ss, ArmState.TRACKING)
-    again = yield from talk.send(Start(ss), listen_s=0.03)
-    expect_ack(again.lines, ss, ArmState.TRACKING)
-    ss = talk.next_ss()
-    new = yield from talk.send(Start(ss), listen_s=0.03)
-    expect_refusal(new.lines, ss, WRONG_STATE)
-    return as_text([*heard.lines, *again.lines, *new.lines])
+    heard, ack = yield from talk.ask(Start, ArmState.TRACKING, listen_s=0.03)
+    again = yield from talk.send(Start(ack.ss), listen_s=0.03)
+    expect_ack(again.lines, ack.ss, ArmState.TRACKING)
+    refused = yield from talk.refused(Start, WRONG_STATE, listen_s=0.03)
+    return as_text([*heard.lines, *again.lines, *refused])
 
 
 def _stops(talk: Talk) -> Script[str]:
     yield from talk.begin()
-    ss = talk.next_ss()
-    heard = yield from talk.send(Stop(ss))
-    expect_ack(heard.lines, ss, ArmState.DECELERATING)
+    heard, _ = yield from talk.ask(Stop, ArmState.DECELERATING)
     t_start = talk.t
     while (ack := (yield from talk.report())).state is not ArmState.READY:
         _require(ack.state is ArmState.DECELERATING, "D, then R", str(ack.state))
@@ -246,9 +233,7 @@ def _stops(talk: Talk) -> Script[str]:
 
 
 def _faults_without_first_setpoint(talk: Talk) -> Script[str]:
-    ss = talk.next_ss()
-    heard = yield from talk.send(Start(ss), listen_s=0.1)
-    expect_ack(heard.lines, ss, ArmState.TRACKING)
+    heard, _ = yield from talk.ask(Start, ArmState.TRACKING, listen_s=0.1)
     t_start = talk.arrived(heard, 7)
     ack = yield from talk.report()
     _require(
@@ -259,17 +244,12 @@ def _faults_without_first_setpoint(talk: Talk) -> Script[str]:
 
 def _latches_fault(talk: Talk) -> Script[str]:
     yield from talk.send(Start(talk.next_ss()), listen_s=0.35)
-    seen = []
-    for command in (Start(talk.next_ss()), SetPoint(talk.next_ss(), talk.rest)):
-        heard = yield from talk.send(command)
-        expect_refusal(heard.lines, command.ss, WRONG_STATE)
-        seen += heard.lines
+    start = yield from talk.refused(Start, WRONG_STATE)
+    setpoint = yield from talk.refused(partial(SetPoint, pose=talk.rest), WRONG_STATE)
     ack = yield from talk.report()
     _require(ack.state is ArmState.FAULT, "F until R comes", ack.state)
-    ss = talk.next_ss()
-    heard = yield from talk.send(Reset(ss))
-    expect_ack(heard.lines, ss, ArmState.READY)
-    return as_text([*seen, *heard.lines])
+    heard, _ = yield from talk.ask(Reset, ArmState.READY)
+    return as_text([*start, *setpoint, *heard.lines])
 
 
 def _answers_each_setpoint(talk: Talk) -> Script[str]:
@@ -328,9 +308,7 @@ def _holds(talk: Talk) -> Script[str]:
     t_taken = heard.lines[0].t_first
     tracked, held = t_taken, math.inf
     while held == math.inf and talk.t - t_taken < WATCHDOG_S - 0.03:
-        ss = talk.next_ss()
-        heard = yield from talk.send(Query(ss), listen_s=0.03, enough=1)
-        ack = expect_ack(heard.lines, ss, ArmState.TRACKING, ArmState.HOLD)
+        heard, ack = yield from talk.ask(Query, ArmState.TRACKING, ArmState.HOLD, listen_s=0.03, enough=1)
         t_state = heard.lines[0].t_first
         tracked, held = (t_state, held) if ack.state is ArmState.TRACKING else (tracked, t_state)
     span = f"T at {_ms(tracked - t_taken)}, H at {_ms(held - t_taken)}" if held < math.inf else "no H"
@@ -343,13 +321,11 @@ def _holds(talk: Talk) -> Script[str]:
 def _resumes(talk: Talk) -> Script[str]:
     yield from talk.begin()
     yield from talk.raw(b"", HOLD_S + 0.03)
-    ss = talk.next_ss()
-    heard = yield from talk.send(SetPoint(ss, _pose_inside(talk, RESUME_M * _BEYOND)), listen_s=0.03)
-    expect_refusal(heard.lines, ss, STEP_TOO_LARGE)
-    ss = talk.next_ss()
-    resumed = yield from talk.send(SetPoint(ss, _pose_inside(talk, 0.5 * _SWING_M)), listen_s=0.03)
-    expect_ack(resumed.lines, ss, ArmState.TRACKING)
-    return as_text([*heard.lines, *resumed.lines])
+    far = _pose_inside(talk, RESUME_M * _BEYOND)
+    refused = yield from talk.refused(partial(SetPoint, pose=far), STEP_TOO_LARGE, listen_s=0.03)
+    near = _pose_inside(talk, 0.5 * _SWING_M)
+    resumed, _ = yield from talk.ask(partial(SetPoint, pose=near), ArmState.TRACKING, listen_s=0.03)
+    return as_text([*refused, *resumed.lines])
 
 
 def _first_setpoint_is_near(talk: Talk) -> Script[str]:
@@ -357,13 +333,8 @@ def _first_setpoint_is_near(talk: Talk) -> Script[str]:
     seen = []
     for pose in far.values():
         yield from _bring_to_ready(talk)
-        ss = talk.next_ss()
-        heard = yield from talk.send(Start(ss), listen_s=0.03)
-        expect_ack(heard.lines, ss, ArmState.TRACKING)
-        ss = talk.next_ss()
-        heard = yield from talk.send(SetPoint(ss, pose), listen_s=0.04)
-        expect_refusal(heard.lines, ss, STEP_TOO_LARGE)
-        seen += heard.lines
+        yield from talk.ask(Start, ArmState.TRACKING, listen_s=0.03)
+        seen += yield from talk.refused(partial(SetPoint, pose=pose), STEP_TOO_LARGE, listen_s=0.04)
     return f"{' and '.join(far)}: {as_text(seen)}"
 
 

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Self, TypeVar
 
 from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
 from palmd.devices.armlink import Line, LineReader, Stop, encode_command
-from palmd.devices.port import Port, PortWaiter
+from palmd.devices.port import Port, PortUnavailableError, PortWaiter
 
 _T = TypeVar("_T")
-
-
-class ArmLineError(Exception):
-    """The port cannot be opened or was lost; the text has reason and what to do."""
 
 
 class ArmLine:
     """The controller's port, a context manager."""
 
     def __init__(self, path: str, baud: int) -> None:
-        """Open the port; raises ArmLineError if that fails."""
+        """Open the port; raises PortUnavailableError if that fails."""
         self._port = Port("arm", path, baud)
         if not self._port.poll_open(time.monotonic()):
-            raise ArmLineError(self._port.error)
+            raise PortUnavailableError(self._port.error)
         self._reader = LineReader(baud)
         self._waiter = PortWaiter([self._port])
 
     def play(self, script: Script[_T]) -> _T:
-        """Run a script and return its result; raises ArmLineError if the port is lost."""
+        """Run a script and return its result; raises PortUnavailableError if the port is lost."""
         try:
             request = next(script)
             while True:
@@ -53,7 +48,7 @@ class ArmLine:
             self._waiter.wait(t_end)
             data = self._port.read()
             if not self._port.is_open:
-                raise ArmLineError(self._port.error)
+                raise PortUnavailableError(self._port.error)
             raw += data
             lines += self._reader.feed(data, time.monotonic())
         return raw
@@ -61,10 +56,7 @@ class ArmLine:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Close the port."""
+    def __exit__(self, *_: object) -> None:
         self._port.close()
 
     def stop(self, talk: Talk) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 from palmd.devices.actuator import ArmState, Pose
@@ -127,9 +128,24 @@ class Talk:
         self.crlf += reply.raw.count(b"\r\n")
         return reply
 
-    def send(self, *commands: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[TalkAnswer]:
-        """Write commands in one block."""
-        return (yield from self.raw(b"".join(map(encode_command, commands)), listen_s, enough=enough))
+    def send(self, command: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[TalkAnswer]:
+        """Write a command."""
+        return (yield from self.raw(encode_command(command), listen_s, enough=enough))
+
+    def ask(
+        self, command: Callable[[int], Command], *states: ArmState, listen_s: float = ANSWER_S, enough: int = 0
+    ) -> Script[tuple[TalkAnswer, Ack]]:
+        """Send a command under the next number. Raises DeviationError unless the only answer is an A in `states`."""
+        ss = self.next_ss()
+        reply = yield from self.send(command(ss), listen_s, enough)
+        return reply, expect_ack(reply.lines, ss, *states)
+
+    def refused(self, command: Callable[[int], Command], code: int, listen_s: float = ANSWER_S) -> Script[list[Line]]:
+        """Send a command under the next number. Raises DeviationError unless it is refused with `code`, once."""
+        ss = self.next_ss()
+        reply = yield from self.send(command(ss), listen_s)
+        expect_refusal(reply.lines, ss, code)
+        return reply.lines
 
     def report(self, t_send: float = -math.inf) -> Script[Ack]:
         """Query state and pose, at `t_send` (s) or at once. Raises DeviationError without a valid answer."""
@@ -137,16 +153,11 @@ class Talk:
         reply = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
         return expect_ack(reply.lines, ss)
 
-    def begin(self) -> Script[Ack]:
+    def begin(self) -> Script[None]:
         """Start tracking at rest, and determine the phase of the controller's cycle."""
-        ss = self.next_ss()
-        reply = yield from self.send(Start(ss), enough=1)
-        expect_ack(reply.lines, ss, ArmState.TRACKING)
-        ss = self.next_ss()
-        reply = yield from self.send(SetPoint(ss, self.rest), enough=1)
-        ack = expect_ack(reply.lines, ss, ArmState.TRACKING)
+        yield from self.ask(Start, ArmState.TRACKING, enough=1)
+        reply, _ = yield from self.ask(partial(SetPoint, pose=self.rest), ArmState.TRACKING, enough=1)
         self._timer = SetPointTimer(self._baud, self.limits.cycle_s, reply.lines[0].t_first)
-        return ack
 
     def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[TalkAnswer]:
         """Send a set-point in the middle of the next cycle; listen for `listen_s` or until the next is due."""
@@ -156,8 +167,7 @@ class Talk:
         timer.sent()
         command = SetPoint(self.next_ss() if ss is None else ss, pose)
         listen = timer.t_next - t_send if listen_s is None else listen_s
-        reply = yield from self.raw(encode_command(command), listen, t_send)
-        return reply
+        return (yield from self.raw(encode_command(command), listen, t_send))
 
     @property
     def timer(self) -> SetPointTimer:

@@ -15,7 +15,19 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, field, replace
 
-from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Outgoing, Pose
+from palmd.config.arms import AdeptConfig
+from palmd.devices.actuator import (
+    FOLLOWING,
+    FREEZE_S,
+    LOST_S,
+    Actuator,
+    ArmPose,
+    ArmReport,
+    ArmState,
+    Outgoing,
+    Pose,
+    Reach,
+)
 from palmd.devices.armlink import (
     SEQUENCE_MODULUS,
     SETPOINT_BYTES,
@@ -39,12 +51,6 @@ from palmd.devices.armlink import (
 )
 from palmd.devices.arrival import byte_time
 from palmd.devices.phaselock import SetPointTimer
-
-FREEZE_S = 0.080
-"""Time without an answer (s) after which motion should halt."""
-
-FAULT_S = 0.250
-"""Time without an answer (s) after which the link is lost."""
 
 HELLO_RETRY_S = 0.250
 HELLO_ANSWER_S = 1.0
@@ -109,29 +115,25 @@ class _Pending:
         return self.command is not None and self.command.ss == ss
 
 
-class ArmHost:
-    """Host of one controller; see the module's docstring.
+class ArmHost(Actuator):
+    """`Actuator` of one controller; see the module's docstring.
 
-    `state` and `pose` are the last reported ones, None while unknown; `commanded` is the last set-point sent
-    since tracking began. `last_error` is the code of the last error line, until a start or reset succeeds.
-    `refusal` is the reason why the last request failed, else None; `link_loss` the reason why the link was lost last.
+    `commanded` is the last set-point sent since tracking began. `last_error` is the code of the last error line, until
+    a start or reset succeeds. `link_loss` is the reason why the link was lost last.
     """
 
-    def __init__(self, baud: int) -> None:
-        """Raises ValueError if `baud` (bit/s, used for timestamps) is not positive."""
-        self._baud = baud
-        self._reader = LineReader(baud)
+    def __init__(self, config: AdeptConfig) -> None:
+        """The baud rate is also used for timestamps."""
+        super().__init__(config, "lines")
+        self._reader = LineReader(self._baud)
         self.counters = HostCounters(line=self._reader.counters)
         self.hello: HelloReply | None = None
-        self.state: ArmState | None = None
         self.pose: Pose | None = None
         self.commanded: Pose | None = None
         self.last_error: int | None = None
-        self.refusal: str | None = None
         self.link_loss = "the controller has not answered yet"
         self._bytes_at_ack = self._lines_at_ack = 0
         self._latency_s = 0.0  # of the last answer
-        self._t_ack = -math.inf
         self._t_alive = -math.inf
         self._t_hello = -math.inf
         self._t_query = -math.inf
@@ -146,24 +148,54 @@ class ArmHost:
 
     def linked(self, t: float) -> bool:
         """Whether the controller has answered hello and its last report is at most 250 ms old at `t` (s)."""
-        return self.state is not None and self.age(t) <= FAULT_S
-
-    def lost(self, t: float) -> bool:
-        """Whether there is no link at `t` (s): none yet, silent for more than 250 ms, or restarted."""
-        return not self.linked(t)
-
-    def frozen(self, t: float) -> bool:
-        """Whether, while tracking, there has been no answer for 80 ms at `t` (s): motion should halt."""
-        return self.tracking and self.age(t) > FREEZE_S
-
-    def age(self, t: float) -> float:
-        """Return the age (s) of the last report at `t` (s); infinite before the first."""
-        return t - self._t_ack
+        return self.state is not None and self.age(t) <= LOST_S
 
     @property
-    def since_last_report(self) -> tuple[int, int]:
-        """Numbers of bytes and of valid lines received since the last report."""
-        return self.counters.line.bytes - self._bytes_at_ack, self.counters.line.lines - self._lines_at_ack
+    def reach(self) -> Reach | None:
+        """The limits in the controller's hello reply."""
+        hello = self.hello
+        if hello is None:
+            return None
+        return Reach(hello.x_min_m, hello.x_max_m, hello.y_min_m, hello.y_max_m, hello.v_max_m_s, hello.a_max_m_s2)
+
+    @property
+    def error(self) -> str:
+        """Code and meaning of the last error line."""
+        return "" if self.last_error is None else error_text(self.last_error)
+
+    def _garbled(self) -> tuple[int, int]:
+        line = self.counters.line
+        errors = line.crc_errors + line.unframed + line.overlong
+        return line.lines + errors, errors
+
+    def evidence(self, condition: str, t: float) -> str:
+        """See `Actuator`."""
+        match condition:
+            case "late":
+                return self._silence(t, FREEZE_S)
+            case "link-lost":
+                return f"{self.link_loss}: {self._silence(t, LOST_S)}"
+            case "mute":
+                return f"{self.counters.line.bytes} bytes have come since the start"
+            case "garbled":
+                return self._error_shares.text(condition)
+        if self.state is None:
+            return ""
+        return f"its line A reports state {self.state} ({self.state.name})" + (
+            f", error {self.error}" * bool(self.error)
+        )
+
+    def _silence(self, t: float, limit_s: float) -> str:
+        count = self.counters.line.bytes - self._bytes_at_ack
+        lines = self.counters.line.lines - self._lines_at_ack
+        came = (
+            f"{count} bytes have come since, with {lines} whole lines in them" if count else "not a byte has come since"
+        )
+        return f"its last answer is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms; {came}"
+
+    def counts(self) -> dict[str, float]:
+        """All counters of the link since the start."""
+        return self.counters.as_dict()
 
     @property
     def tracking(self) -> bool:
@@ -239,7 +271,7 @@ class ArmHost:
         self.counters.acks += 1
         self.counters.ack_latency_max_ms = max(self.counters.ack_latency_max_ms, self._latency_s * 1e3)
         self.state, self.pose = ack.state, ack.pose
-        self._t_ack = self._t_alive = t_first
+        self._t_report = self._t_alive = t_first
         self._bytes_at_ack, self._lines_at_ack = self.counters.line.bytes, self.counters.line.lines
         if self._timer is not None:
             if kind is SetPoint and alone:
@@ -304,19 +336,16 @@ class ArmHost:
         """Return the time (s) of the next `poll`; always after the last `poll`."""
         if self.hello is None:
             return -math.inf if self._hello_due else self._t_hello + HELLO_RETRY_S
-        t_lost = self._t_alive + FAULT_S
+        t_lost = self._t_alive + LOST_S
         if self._pending is not None:
             return min(t_lost, self._pending.t_sent + REQUEST_RETRY_S)
         if self._timer is not None and not self._state_uncertain:
             return min(t_lost, self._t_query, self._timer.t_next)
         return min(t_lost, self._t_query)
 
-    def poll(self, t: float, target: Pose | None) -> Outgoing:
-        """Return what to write at `t` (s, monotonic), and the set-point in it; empty if nothing is due.
-
-        `target` is the set-point of this cycle while tracking; None repeats the last one.
-        """
-        if self.hello is not None and t >= self._t_alive + FAULT_S:
+    def poll(self, t: float, target: ArmPose | None) -> Outgoing:
+        """See `Actuator`; empty if nothing is due. Targets other than poses of the tool are ignored."""
+        if self.hello is not None and t >= self._t_alive + LOST_S:
             self.counters.losses += 1
             self._unlink("the controller does not answer")
         if t < self.due():
@@ -327,7 +356,7 @@ class ArmHost:
             return Outgoing(self._send_request(self._pending, t))
         out = Outgoing(b"")
         if self._timer is not None and not self._state_uncertain:
-            out = self._set_point(self._timer, t, target)
+            out = self._set_point(self._timer, t, target if isinstance(target, Pose) else None)
         if t >= self._t_query:
             out = Outgoing(out.data + self._send(Query(self._next_ss()), t), out.setpoint)
             self._t_query = math.inf if self.tracking and not self._state_uncertain else t + QUERY_S

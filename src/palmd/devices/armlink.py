@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.arrival import FirstByteClock
+from palmd.devices.health import Counters
 
 HOST_NEWLINE = b"\n"
 CONTROLLER_NEWLINE = b"\r\n"
@@ -171,7 +172,7 @@ class Line:
 
 
 @dataclass(slots=True)
-class LineCounters:
+class LineCounters(Counters):
     """Counters of a line-oriented port: bytes, valid lines, and discarded lines by cause.
 
     `crc_errors`, `unframed` (no `*CC`, or bytes that are not printable ASCII) and `overlong` count lines;
@@ -184,10 +185,6 @@ class LineCounters:
     unframed: int = 0
     overlong: int = 0
     bytes_discarded: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """Return all counters by name."""
-        return asdict(self)
 
 
 class LineReader:

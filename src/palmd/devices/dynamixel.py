@@ -11,40 +11,28 @@ Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manua
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, PacketReader, Register, Settings, UnsupportedModel
+from palmd.devices.servobus import (
+    BROADCAST,
+    Instruction,
+    Packet,
+    PacketReader,
+    Register,
+    ServoMake,
+    Settings,
+    UnsupportedModel,
+)
 
 HEADER = b"\xff\xff\xfd\x00"
-BROADCAST = 0xFE
 ID_MAX = 252
 MAX_LENGTH = 512
 """Upper limit of `length`: far above any packet on the bus, far below what garbage can contain."""
 
 _HEAD_BYTES = 7  # up to and including the length
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
-
-
-class Instruction(IntEnum):
-    """Instruction of a packet; STATUS is an answer."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
-    REBOOT = 0x08
-    CLEAR = 0x10
-    STATUS = 0x55
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
-    FAST_BULK_READ = 0x9A
 
 
 MODEL = Register(0, 2)
@@ -133,7 +121,7 @@ def unstuffed(body: bytes) -> bytes:
     return body.replace(_STUFFED, _PLAIN)
 
 
-def encode(servo: int, instruction: Instruction, parameters: bytes = b"") -> bytes:
+def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Encode a packet to (with STATUS: from) a servo; `BROADCAST`: to all. Raises ValueError for a bad id or length."""
     if not (0 <= servo <= ID_MAX or servo == BROADCAST):
         raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
@@ -145,37 +133,6 @@ def _framed(servo: int, body: bytes) -> bytes:
         raise ValueError(f"a packet's length is at most {MAX_LENGTH}, not {len(body) + 2}")
     packet = HEADER + struct.pack("<BH", servo, len(body) + 2) + body
     return packet + struct.pack("<H", crc16(packet))
-
-
-def ping(servo: int) -> bytes:
-    """Ping: request model and firmware."""
-    return encode(servo, Instruction.PING)
-
-
-def read(servo: int, address: int, size: int) -> bytes:
-    """Read `size` bytes of one servo's table."""
-    return encode(servo, Instruction.READ, struct.pack("<HH", address, size))
-
-
-def write(servo: int, register: Register, value: int) -> bytes:
-    """Write one register of one servo."""
-    return encode(servo, Instruction.WRITE, struct.pack("<H", register.address) + register.encode(value))
-
-
-def reboot(servo: int) -> bytes:
-    """Reboot a servo, which clears its hardware errors and all values outside the EEPROM."""
-    return encode(servo, Instruction.REBOOT)
-
-
-def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
-    """Write one register of several servos, by id; never answered, so refusals are not reported."""
-    data = b"".join(bytes((servo,)) + register.encode(value) for servo, value in values.items())
-    return encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", register.address, register.size) + data)
-
-
-def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
-    """Read `size` bytes of several servos' tables; they answer in this order."""
-    return encode(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(servos))
 
 
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
@@ -217,14 +174,14 @@ _UNSUPPORTED_FIX = "use a servo of the 430 size"
 _UNSUPPORTED_REASON = "whose watchdog trips without stopping it"
 
 
-class DynamixelMake:
-    """`ServoMake` of the X series, with time-based profiles and a watchdog."""
+class DynamixelMake(ServoMake):
+    """The X series, with time-based profiles and a watchdog."""
 
     name = "DYNAMIXEL"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
     hardware_error, goal, position, voltage, temperature = HARDWARE_ERROR, GOAL, POSITION, VOLTAGE, TEMPERATURE
-    watchdog: Register | None = WATCHDOG
-    unlock: Register | None = None
+    watchdog = WATCHDOG
+    unlock = None
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
     status_span = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
@@ -253,10 +210,15 @@ class DynamixelMake:
         1220: UnsupportedModel("XC330-T181", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
         1230: UnsupportedModel("XC330-T288", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
     }
-    reader = staticmethod(packet_reader)
-    ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
-    sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
-    status, restart = staticmethod(encode_status), staticmethod(reboot)
+    reader, encode, status = staticmethod(packet_reader), staticmethod(encode), staticmethod(encode_status)
+
+    def numbers(self, *values: int) -> bytes:
+        """Two bytes each."""
+        return struct.pack(f"<{len(values)}H", *values)
+
+    def restart(self, servo: int) -> bytes:
+        """Reboot the servo, which also clears all values outside the EEPROM."""
+        return encode(servo, Instruction.REBOOT)
 
     def settings(self, low: int, high: int) -> Settings:
         """Position mode, time-based profiles, no delay, no offset, limits, shutdown, answer all instructions."""
@@ -277,7 +239,7 @@ class DynamixelMake:
 
     def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:  # noqa: ARG002
         """Send the goals; the profile sets the speed."""
-        return sync_write(GOAL, counts)
+        return self.sync_write(GOAL, counts)
 
 
 MAKE = DynamixelMake()

@@ -20,10 +20,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from palmd.devices.health import Counters
 from palmd.devices.pad import PadReport
 
 RECORD = struct.Struct("<qqHHi")
@@ -45,7 +46,7 @@ Record = tuple[int, int, int]
 
 
 @dataclass(slots=True)
-class EvdevCounters:
+class EvdevCounters(Counters):
     """Counters of a device.
 
     `dropped` counts overflows of the kernel's buffer, `foreign_clock` frames not stamped by the monotonic
@@ -63,10 +64,6 @@ class EvdevCounters:
     torn: int = 0
     batches: int = 0
     out_of_range: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """All counters by name."""
-        return asdict(self)
 
 
 def encode(records: Iterable[Record], t: float) -> bytes:

@@ -12,32 +12,19 @@ Everything here is pure and safe inside the 100 Hz loop. Sources: docs/reference
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, PacketReader, Register, Settings, UnsupportedModel
+from palmd.devices.servobus import BROADCAST, Packet, PacketReader, Register, ServoMake, Settings, UnsupportedModel
 
 HEADER = b"\xff\xff"
-BROADCAST = 0xFE
 ID_MAX = 253
 MAX_LENGTH = 0x80
 """Upper limit of `length`: above any packet of a few servos, far below what garbage can contain."""
 
 _HEAD_BYTES = 4  # up to and including the length
 _FILLER = HEADER[0]
-
-
-class FeetechInstruction(IntEnum):
-    """Instruction of a request."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
 
 
 class FeetechError(IntEnum):
@@ -96,38 +83,6 @@ def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-def ping(servo: int) -> bytes:
-    """Ping: asks whether the servo is present."""
-    return encode(servo, FeetechInstruction.PING)
-
-
-def read(servo: int, address: int, size: int) -> bytes:
-    """Read `size` bytes of one servo's table."""
-    return encode(servo, FeetechInstruction.READ, bytes((address, size)))
-
-
-def write(servo: int, register: Register, value: int) -> bytes:
-    """Write one register of one servo."""
-    return encode(servo, FeetechInstruction.WRITE, bytes((register.address,)) + register.encode(value))
-
-
-def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
-    """Write one register of several servos, by id; never answered."""
-    return sync_write_bytes(register.address, {servo: register.encode(value) for servo, value in values.items()})
-
-
-def sync_write_bytes(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Write a block of registers, of equal size for all servos."""
-    size = len(next(iter(data.values()), b""))
-    parts = b"".join(bytes((servo,)) + each for servo, each in data.items())
-    return encode(BROADCAST, FeetechInstruction.SYNC_WRITE, bytes((address, size)) + parts)
-
-
-def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
-    """Read `size` bytes of several servos' tables; they answer in this order."""
-    return encode(BROADCAST, FeetechInstruction.SYNC_READ, bytes((address, size)) + bytes(servos))
-
-
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """Encode a servo's answer."""
     return encode(servo, error, parameters)
@@ -164,14 +119,14 @@ def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
     return PacketReader(scanner, _answer if answers else _question)
 
 
-class FeetechMake:
-    """`ServoMake` of the STS3215, with a speed for each goal and without watchdog."""
+class FeetechMake(ServoMake):
+    """The STS3215, with a speed for each goal and without watchdog."""
 
     name = "Feetech"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
     hardware_error, goal, position, voltage, temperature = STATUS, GOAL, POSITION, VOLTAGE, TEMPERATURE
-    watchdog: Register | None = None
-    unlock: Register | None = LOCK
+    watchdog = None
+    unlock = LOCK
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
     status_span = (TORQUE.address, STATUS.end - TORQUE.address)
@@ -189,14 +144,15 @@ class FeetechMake:
     }
     models: Mapping[int, str] = {777: "STS3215", 2825: "STS3250"}
     unsupported: Mapping[int, UnsupportedModel] = {}
-    reader = staticmethod(packet_reader)
-    ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
-    sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
-    status = staticmethod(encode_status)
+    reader, encode, status = staticmethod(packet_reader), staticmethod(encode), staticmethod(encode_status)
+
+    def numbers(self, *values: int) -> bytes:
+        """One byte each."""
+        return bytes(values)
 
     def restart(self, servo: int) -> bytes:
         """Turn the torque off, which ends the protection mode."""
-        return write(servo, TORQUE, 0)
+        return self.write(servo, TORQUE, 0)
 
     def settings(self, low: int, high: int) -> Settings:
         """Position mode, no delay, no offset, limits, protection, answer all instructions."""
@@ -220,7 +176,7 @@ class FeetechMake:
         for servo, goal in counts.items():
             speed = min(max(round(abs(distances[servo]) / (span_ms * 1e-3)), 1), MAX_SPEED)
             data[servo] = GOAL.encode(goal) + bytes(2) + GOAL_SPEED.encode(speed)
-        return sync_write_bytes(GOAL.address, data)
+        return self.sync_write_bytes(GOAL.address, GOAL_SPEED.end - GOAL.address, data)
 
 
 MAKE = FeetechMake()

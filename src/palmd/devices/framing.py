@@ -7,9 +7,10 @@ whether the checksum and content of a complete frame are valid.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from palmd.devices.arrival import FirstByteClock
+from palmd.devices.health import Counters
 
 Head = bytes | bytearray
 """The buffered bytes from which a codec determines the size of a frame."""
@@ -19,7 +20,7 @@ Frame = tuple[float, bytes]
 
 
 @dataclass(slots=True)
-class FrameCounters:
+class FrameCounters(Counters):
     """Counters of a line; `bytes` are those of frames, the discarded ones and those pending.
 
     `packets` counts valid frames, `crc_errors` frames whose checksum or content is wrong, `discarded` bytes outside
@@ -30,10 +31,6 @@ class FrameCounters:
     packets: int = 0
     crc_errors: int = 0
     discarded: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """All counters by name."""
-        return asdict(self)
 
 
 class FrameScanner:

@@ -1,8 +1,9 @@
-"""Fault conditions of a device, derived from its error counters. Pure."""
+"""Counters of a device, and its fault conditions derived from them. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 
 Limits = Mapping[str, tuple[float, int, str]]
 """For each condition: the largest acceptable share of errors, the smallest count it is evaluated for, and the unit."""
@@ -15,6 +16,15 @@ SERIAL_PAD_LIMITS: Limits = {
     "out-of-range": (0.2, 10, "packets"),
     "batched": (0.5, 10, "packets"),
 }
+
+
+@dataclass(slots=True)
+class Counters:
+    """Base of the counters of ports, lines and devices."""
+
+    def as_dict(self) -> dict[str, int]:
+        """All counters by name."""
+        return asdict(self)
 
 
 class ErrorShare:

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from palmd.devices.health import ErrorShares, Limits, last_report
 from palmd.events import FloatArray, PadLift, PadSample
+from palmd.messages import PadView
 
 if TYPE_CHECKING:
     from palmd.config.pads import PadConfig
     from palmd.devices.port import DevicePort
-    from palmd.messages import PadView
 
 MARGIN_MM = 1.0
 """Tolerance beyond the pad's end, for errors of the zero."""
@@ -66,6 +68,21 @@ class PadScale(Protocol):
     def corrections_mm(self) -> Sequence[float]: ...
 
 
+class FixedScale(NamedTuple):
+    """`PadScale` of a pad in the loop: a configuration computes its corrections anew each time."""
+
+    zero_mm: float
+    sign: int
+    counts_per_mm: float
+    length_mm: float
+    corrections_mm: Sequence[float]
+
+    @classmethod
+    def of(cls, pad: PadScale) -> FixedScale:
+        """Copy a pad's scale."""
+        return cls(pad.zero_mm, pad.sign, pad.counts_per_mm, pad.length_mm, pad.corrections_mm)
+
+
 def counts_to_mm(pad: PadScale, counts: float) -> float:
     """Distance (mm) of a reading from the hinge: linear scale plus correction curve. Safe in the loop."""
     straight = pad.zero_mm + pad.sign * counts / pad.counts_per_mm
@@ -76,6 +93,12 @@ def counts_to_mm(pad: PadScale, counts: float) -> float:
     at = min(max(straight / pad.length_mm, 0.0), 1.0) * last
     before = min(int(at), last - 1)
     return straight + curve[before] + (at - before) * (curve[before + 1] - curve[before])
+
+
+def position_mm(pad: PadScale, counts: float) -> float | None:
+    """Distance (mm) of a reading from the hinge; None if it is not on the pad: no contact. Safe in the loop."""
+    s_mm = counts_to_mm(pad, counts)
+    return s_mm if 0.0 < s_mm <= pad.length_mm + MARGIN_MM else None
 
 
 def linear_mm(pad: PadScale, s_mm: FloatArray) -> FloatArray:
@@ -94,62 +117,108 @@ class HostLine(Protocol):
         """Send `data`, or drop and count it."""
 
 
-class PadDriver(Protocol):
-    """Driver of one pad: bytes in, events out. No I/O except in `port` and what it opens; safe in the loop."""
+TouchEnd = Literal["lifted", "silent"]
+"""How a touch ended: by a report, or by silence."""
 
-    is_open: bool
+
+class PadDriver(ABC):
+    """Driver of one pad: bytes in, events out. No I/O except in `port` and what it opens; safe in the loop.
+
+    `touch_end` is how the last touch ended; None while touching or before any touch.
+    """
+
+    def __init__(self, number: int, limits: Limits) -> None:
+        """`limits` are those of the conditions that follow from counters. Nothing is opened yet."""
+        self.is_open = False
+        self.touch_end: TouchEnd | None = None
+        self._number = number
+        self._latest: PadReport | None = None
+        self._sample: PadSample | None = None  # the last one of the present touch
+        self._error_shares = ErrorShares(limits)
 
     @property
+    @abstractmethod
     def touching(self) -> bool:
         """Whether the object touches the pad according to the reports so far."""
 
     @property
-    def touch_end(self) -> Literal["lifted", "silent"] | None:
-        """How the last touch ended; None while touching or before any touch."""
-
-    @property
     def starting(self) -> bool:
         """Whether the pad is still starting up."""
+        return False
 
     @property
+    @abstractmethod
     def diagnosis(self) -> str | None:
         """Likely reason why no report has arrived, derived from the line's counters; None if none is known."""
 
+    @abstractmethod
     def port(self) -> DevicePort:
         """Return the pad's port, not yet opened."""
 
-    def opened(self, t: float) -> None:
+    def opened(self, t: float) -> None:  # noqa: ARG002
         """Handle the opening of the port at `t` (s)."""
+        self.is_open = True
 
+    @abstractmethod
     def lost(self, t: float) -> list[PadLift]:
         """Handle the loss of the port at `t` (s)."""
 
-    def tend(self, port: HostLine, t: float) -> None:
+    def tend(self, port: HostLine, t: float) -> None:  # noqa: B027
         """Serve the open port at `t` (s), once a tick: start-up, and requests to pads that are polled."""
 
+    @abstractmethod
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """Return the events in the bytes read at `t` (s)."""
 
+    @abstractmethod
     def poll(self, t: float, turning_rad_s: float = 0.0) -> Sequence[PadSample | PadLift]:
         """Return the events that follow from silence at `t` (s), once a tick: a lift-off, or a repeated sample.
 
         turning_rad_s: rate of the faster palm; on a turning palm no contact stays at one position for long.
         """
 
+    @abstractmethod
     def reports(self, data: bytes, t: float) -> Sequence[PadReport]:
         """Return the uncalibrated reports in the bytes read at `t` (s); replaces `feed` in bring-up and calibration."""
 
     def view(self, t: float) -> PadView:
         """Return what is published of the pad at `t` (s)."""
+        latest, sample = self._latest, self._sample
+        if latest is None:
+            return PadView()
+        s = math.nan if sample is None else sample.s
+        across = math.nan if sample is None or sample.across is None else sample.across
+        return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched, across)
 
     def health(self, refresh: bool) -> Iterator[str]:
         """Yield the active fault conditions, without the pad's name; `refresh`: evaluate the counters again first."""
+        if refresh:
+            self._error_shares.update(self._errors())
+        yield from self._error_shares
 
     def evidence(self, condition: str, t: float) -> str:
         """Return the measurements behind a condition at `t` (s): byte, age, limit. May be empty."""
+        last = last_report(None if self._latest is None else self._latest.t_first, t)
+        match condition:
+            case "silent":
+                return self._silence(last)
+            case "lifted":
+                return f"{last} and reports the lift-off"
+            case "untouched":
+                return last
+        return self._error_shares.text(condition)
 
+    @abstractmethod
     def counts(self) -> dict[str, int]:
         """All counters since the start, by name."""
+
+    @abstractmethod
+    def _errors(self) -> Mapping[str, tuple[int, int]]:
+        """Total and errors since the start, for each condition of the limits."""
+
+    @abstractmethod
+    def _silence(self, last: str) -> str:
+        """Evidence of `silent`; `last` is the age of the last report as text."""
 
 
 PadFactory = Callable[[int, Any], PadDriver]

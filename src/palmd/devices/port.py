@@ -14,11 +14,13 @@ import termios
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import serial
+
+from palmd.devices.health import Counters
 
 READ_BYTES = 4096
 """The size of a terminal's buffer in the kernel."""
@@ -31,8 +33,12 @@ _ICOUNTER = struct.Struct("11i36x")  # struct serial_icounter_struct: four modem
 FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError, and pyserial raises it
 
 
+class PortUnavailableError(Exception):
+    """A port cannot be opened or was lost; the text has reason and what to do."""
+
+
 @dataclass(slots=True)
-class PortCounters:
+class PortCounters(Counters):
     """Counters of a port: bytes read, written and dropped because of a full buffer; openings and losses.
 
     The last four are the kernel's counts of the line since it was opened first: framing errors mostly mean a wrong
@@ -48,10 +54,6 @@ class PortCounters:
     framing_errors: int = 0
     parity_errors: int = 0
     overruns: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """Return all counters by name."""
-        return asdict(self)
 
 
 class DevicePort(Protocol):

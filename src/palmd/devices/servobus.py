@@ -1,17 +1,45 @@
-"""Servo buses, common to all makes: packets, registers, and the interface of a make.
+"""Servo buses, common to all makes: packets, registers, the interface of a make, and the axis that a servo turns.
 
 Everything here is pure and safe inside the 100 Hz loop.
 """
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from enum import IntEnum
+from typing import NamedTuple
 
+from palmd.config.arms import ServoConfig
 from palmd.devices.framing import Frame, FrameScanner
 
 COUNTS_PER_TURN = 4096
+CENTRE = COUNTS_PER_TURN // 2
+RADIANS_PER_COUNT = math.tau / COUNTS_PER_TURN
+BROADCAST = 0xFE
+"""The id to which all servos listen."""
+
+
+class Instruction(IntEnum):
+    """Instruction of a packet; all makes use these numbers. STATUS is an answer."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
 
 
 class Register(NamedTuple):
@@ -123,8 +151,8 @@ Span = tuple[int, int]
 Settings = Sequence[tuple[Register, int]]
 
 
-class ServoMake(Protocol):
-    """Interface of a make of servos: its protocol, its registers and the settings it requires.
+class ServoMake(ABC):
+    """A make of servos: its protocol, its registers and the settings it requires.
 
     status_span, cycle_span: registers that are read at a low rate, and in every cycle. all_answered: status return
     level at which every instruction is answered. ping_bytes: number of parameters in the answer to a ping, which begin
@@ -161,35 +189,93 @@ class ServoMake(Protocol):
     models: Mapping[int, str]
     unsupported: Mapping[int, UnsupportedModel]
 
+    @abstractmethod
     def reader(self, baud: int) -> PacketReader:
         """Create a reader of the servos' packets. Raises ValueError if `baud` (bit/s) is not positive."""
 
-    def ping(self, servo: int) -> bytes:
-        """Ping: asks whether the servo is present."""
+    @abstractmethod
+    def encode(self, servo: int, instruction: int, parameters: bytes = b"") -> bytes:
+        """Encode a request. Raises ValueError for a wrong id or length."""
 
-    def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read `size` bytes of one servo's table."""
+    @abstractmethod
+    def numbers(self, *values: int) -> bytes:
+        """Encode addresses and sizes in parameters."""
 
-    def write(self, servo: int, register: Register, value: int) -> bytes:
-        """Write one register of one servo."""
-
-    def sync_write(self, register: Register, values: Mapping[int, int]) -> bytes:
-        """Write one register of several servos, by id; never answered."""
-
-    def sync_read(self, address: int, size: int, servos: Iterable[int]) -> bytes:
-        """Read `size` bytes of several servos' tables; they answer in this order."""
-
+    @abstractmethod
     def status(self, servo: int, error: int, parameters: bytes = b"") -> bytes:
         """Encode a servo's answer."""
 
+    def ping(self, servo: int) -> bytes:
+        """Ping: asks whether the servo is present."""
+        return self.encode(servo, Instruction.PING)
+
+    def read(self, servo: int, address: int, size: int) -> bytes:
+        """Read `size` bytes of one servo's table."""
+        return self.encode(servo, Instruction.READ, self.numbers(address, size))
+
+    def write(self, servo: int, register: Register, value: int) -> bytes:
+        """Write one register of one servo."""
+        return self.encode(servo, Instruction.WRITE, self.numbers(register.address) + register.encode(value))
+
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> bytes:
+        """Write one register of several servos, by id; never answered, so refusals are not reported."""
+        data = {servo: register.encode(value) for servo, value in values.items()}
+        return self.sync_write_bytes(register.address, register.size, data)
+
+    def sync_write_bytes(self, address: int, size: int, data: Mapping[int, bytes]) -> bytes:
+        """Write a block of registers of several servos, `size` bytes each; never answered."""
+        parts = b"".join(bytes((servo,)) + each for servo, each in data.items())
+        return self.encode(BROADCAST, Instruction.SYNC_WRITE, self.numbers(address, size) + parts)
+
+    def sync_read(self, address: int, size: int, servos: Iterable[int]) -> bytes:
+        """Read `size` bytes of several servos' tables; they answer in this order."""
+        return self.encode(BROADCAST, Instruction.SYNC_READ, self.numbers(address, size) + bytes(servos))
+
+    @abstractmethod
     def restart(self, servo: int) -> bytes:
         """Clear the servo's hardware errors; answered without parameters."""
 
+    @abstractmethod
     def settings(self, low: int, high: int) -> Settings:
         """Settings required before the torque is enabled, in writing order; `low` and `high` are limits in counts."""
 
+    @abstractmethod
     def profile(self, span_ms: int) -> Settings:
         """Settings for constant speed to a goal within `span_ms`; they must stay unchanged while it follows."""
 
+    @abstractmethod
     def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:
         """Send goals by id, to be reached at constant speed within `span_ms`; `distances` (counts): remaining paths."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One servo: number, id, make, and conversion of its counts to its palm's direction (rad from the world X axis)."""
+
+    number: int
+    id: int
+    sign: int
+    centre_rad: float
+    low: int
+    high: int
+    make: ServoMake
+
+    @classmethod
+    def from_config(cls, number: int, config: ServoConfig, make: ServoMake) -> Axis:
+        """Create the axis of palm `number` from its configuration."""
+        plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, COUNTS_PER_TURN - 1, make)
+        ends = sorted(plain.counts(math.radians(end)) for end in config.range_deg)
+        low, high = max(ends[0], 0), min(ends[1], COUNTS_PER_TURN - 1)
+        return cls(number, config.id, config.sign, plain.centre_rad, low, high, make)
+
+    def counts(self, direction_rad: float) -> int:
+        """Convert a palm's direction (rad) to counts, rounded."""
+        return CENTRE + self.sign * round((direction_rad - self.centre_rad) / RADIANS_PER_COUNT)
+
+    def direction(self, counts: int) -> float:
+        """Convert counts to the palm's direction (rad)."""
+        return self.centre_rad + self.sign * (counts - CENTRE) * RADIANS_PER_COUNT
+
+    def settings(self) -> Settings:
+        """Settings required before the torque is enabled, in the order in which they can be written."""
+        return self.make.settings(self.low, self.high)

@@ -1,6 +1,7 @@
 """Conformance checks of the servos on a bus: numbered checks, each of a few requests to one servo or to all.
 
-A check is a function of a `ServoTalk`, which sends requests and waits. It returns what it observed, or raises
+A check is a function of a `ServoTalk`, which sends requests and waits; tests substitute one with emulated servos. It
+returns what it observed, or raises
 `ServoDeviationError` with the deviation and how to fix it. Checks that turn the torque on have `moves` set.
 """
 
@@ -9,12 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Self
 
 from palmd.devices import dynamixel as dxl
-from palmd.devices.servoaxis import CENTRE, Axis
-from palmd.devices.servobus import Packet, Registers, ServoMake
-from palmd.devices.servohost import ServoHost, cycle_period
+from palmd.devices.port import Port, PortUnavailableError
+from palmd.devices.servobus import CENTRE, Axis, Packet, Registers, ServoMake
+from palmd.devices.servohost import cycle_period
 from palmd.devices.servoscripts import ANSWER_S
 
 MAX_LATENCY_S = 0.008
@@ -32,16 +33,42 @@ class ServoDeviationError(Exception):
         self.seen, self.fix = seen, fix
 
 
-class ServoTalk(Protocol):
-    """Access to a bus for checks."""
+class NoAnswerError(ServoDeviationError):
+    """A servo does not answer at all."""
 
-    baud: int
+
+class ServoTalk:
+    """Access to the servos at a port for checks, a context manager; raises PortUnavailableError."""
+
+    def __init__(self, port: str, baud: int, axes: Sequence[Axis]) -> None:
+        self.baud, self.axes = baud, axes
+        self._port = Port("arm", port, baud)
+
+    def __enter__(self) -> Self:
+        if not self._port.poll_open(time.monotonic()):
+            raise PortUnavailableError(self._port.error)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._port.close()
 
     def ask(self, packet: bytes, patience_s: float = ANSWER_S, answers: int = 1) -> list[tuple[Packet, float]]:
         """Send a packet and wait for `answers` answers; return each with its latency (s)."""
+        reader = self.axes[0].make.reader(self.baud)
+        while self._port.read():
+            pass
+        t_sent = time.monotonic()
+        self._port.write(packet)
+        found: list[tuple[Packet, float]] = []
+        while len(found) < answers and time.monotonic() < t_sent + patience_s:
+            time.sleep(2e-4)
+            t = time.monotonic()
+            found += [(each, t - t_sent) for each in reader.feed(self._port.read(), t) if each.is_status]
+        return found
 
     def wait(self, seconds: float) -> None:
         """Send nothing for `seconds`."""
+        time.sleep(seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +79,7 @@ class ServoCheck:
     """
 
     clause: str
-    examine: Callable[[ServoTalk, Axis, Sequence[Axis]], str]
+    examine: Callable[[ServoTalk, Axis], str]
     moves: bool = False
     of_bus: bool = False
     needs_refusals: bool = False
@@ -85,7 +112,7 @@ def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
             "palmd run sets it when it opens the bus",
         )
     if not answers:
-        raise ServoDeviationError(
+        raise NoAnswerError(
             f"id {axis.id} does not answer at {talk.baud} bit/s",
             f"check supply and cable; set id {axis.id} and that speed with the maker's tool, one servo at a time",
         )
@@ -102,7 +129,7 @@ def _registers(talk: ServoTalk, axis: Axis) -> Registers:
     return Registers(0, answer.parameters)
 
 
-def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _answers(talk: ServoTalk, axis: Axis) -> str:
     _answer(talk, axis.make.ping(axis.id), axis)
     spans = sorted(span for _ in range(10) for _, span in talk.ask(axis.make.ping(axis.id)))
     if not spans or spans[len(spans) // 2] > MAX_LATENCY_S:
@@ -115,7 +142,7 @@ def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"id {axis.id} answers in {spans[len(spans) // 2] * 1e3:.1f} ms"
 
 
-def _is_known(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_known(talk: ServoTalk, axis: Axis) -> str:
     registers = _registers(talk, axis)
     make = axis.make
     model = registers[make.model]
@@ -127,7 +154,7 @@ def _is_known(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"{make.models[model]}, firmware {registers[make.firmware]}"
 
 
-def _has_unique_id(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _has_unique_id(talk: ServoTalk, axis: Axis) -> str:
     answers = talk.ask(axis.make.ping(axis.id), answers=2)
     if len(answers) > 1:
         raise ServoDeviationError(
@@ -136,7 +163,7 @@ def _has_unique_id(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"one servo has id {axis.id}"
 
 
-def _is_healthy(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_healthy(talk: ServoTalk, axis: Axis) -> str:
     registers = _registers(talk, axis)
     make = axis.make
     volts, degrees = registers[make.voltage] * 0.1, registers[make.temperature]
@@ -150,7 +177,7 @@ def _is_healthy(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"{volts:.1f} V, {degrees} °C, no hardware error"
 
 
-def _has_settings(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _has_settings(talk: ServoTalk, axis: Axis) -> str:
     registers = _registers(talk, axis)
     wrong = [(reg.address, registers[reg], value) for reg, value in axis.settings() if registers[reg] != value]
     if wrong:
@@ -159,7 +186,7 @@ def _has_settings(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"all {len(axis.settings())} settings, limits {axis.low} to {axis.high}"
 
 
-def _is_in_range(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _is_in_range(talk: ServoTalk, axis: Axis) -> str:
     position = _registers(talk, axis)[axis.make.position]
     if not axis.low <= position <= axis.high:
         raise ServoDeviationError(
@@ -169,10 +196,10 @@ def _is_in_range(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"counts {position}"
 
 
-def _answers_in_order(talk: ServoTalk, _axis: Axis, axes: Sequence[Axis]) -> str:
-    ids = [axis.id for axis in axes]
-    make = axes[0].make
-    period_s = cycle_period(talk.baud, len(axes), make)
+def _answers_in_order(talk: ServoTalk, first: Axis) -> str:
+    ids = [axis.id for axis in talk.axes]
+    make = first.make
+    period_s = cycle_period(talk.baud, len(ids), make)
     spans = []
     for _ in range(20):
         answers = talk.ask(make.sync_read(*make.cycle_span, ids), answers=len(ids))
@@ -189,7 +216,7 @@ def _answers_in_order(talk: ServoTalk, _axis: Axis, axes: Sequence[Axis]) -> str
     return f"both in {median * 1e3:.1f} ms of {period_s * 1e3:.0f} ms"
 
 
-def _ignores_damage(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _ignores_damage(talk: ServoTalk, axis: Axis) -> str:
     damaged = bytearray(axis.make.ping(axis.id))
     damaged[-1] ^= 0x10
     if any(not packet.error for packet, _ in talk.ask(bytes(damaged))):
@@ -198,9 +225,9 @@ def _ignores_damage(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return "a damaged packet is ignored, the next one is answered"
 
 
-def _refuses(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _refuses(talk: ServoTalk, axis: Axis) -> str:
     """Without torque; the goal stays unchanged."""
-    answer = _answer(talk, dxl.write(axis.id, dxl.GOAL, axis.high + 1), axis)
+    answer = _answer(talk, axis.make.write(axis.id, dxl.GOAL, axis.high + 1), axis)
     if not answer.error & ~dxl.ALERT:
         raise ServoDeviationError(
             "it accepts a goal beyond its limit", "update its firmware; palmd run sets the limits"
@@ -208,13 +235,13 @@ def _refuses(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"a goal beyond its limit: {dxl.ERRORS.get(answer.error & 0x7F, 'refused')}"
 
 
-def _watchdog_trips(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _watchdog_trips(talk: ServoTalk, axis: Axis) -> str:
     """Without torque."""
-    _answer(talk, dxl.write(axis.id, dxl.WATCHDOG, 2), axis)
+    _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 2), axis)
     talk.wait(0.100)
     registers = _registers(talk, axis)
-    refused = _answer(talk, dxl.write(axis.id, dxl.GOAL, registers[dxl.GOAL]), axis).error
-    _answer(talk, dxl.write(axis.id, dxl.WATCHDOG, 0), axis)
+    refused = _answer(talk, axis.make.write(axis.id, dxl.GOAL, registers[dxl.GOAL]), axis).error
+    _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 0), axis)
     if registers[dxl.WATCHDOG] != -1:
         raise ServoDeviationError(
             f"after 100 ms of silence register 98 is {registers[dxl.WATCHDOG]}, not -1", "update its firmware"
@@ -226,7 +253,7 @@ def _watchdog_trips(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return "trips, refuses goals, and can be cleared"
 
 
-def _holds(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _holds(talk: ServoTalk, axis: Axis) -> str:
     """With torque, at its position."""
     make = axis.make
     position = _registers(talk, axis)[axis.make.position]
@@ -248,7 +275,7 @@ def _holds(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     return f"holds within {abs(now - position)} counts" + (", settings locked" if make.refusals else "")
 
 
-def _stops_without_instructions(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
+def _stops_without_instructions(talk: ServoTalk, axis: Axis) -> str:
     """With torque: start a move of 4° in half a second, then send nothing."""
     position = _registers(talk, axis)[axis.make.position]
     goal = position + STEP_COUNTS if position + STEP_COUNTS <= axis.high else position - STEP_COUNTS
@@ -258,17 +285,17 @@ def _stops_without_instructions(talk: ServoTalk, axis: Axis, _axes: Sequence[Axi
         (dxl.GOAL, position),
         (dxl.TORQUE, 1),
     ):
-        _answer(talk, dxl.write(axis.id, register, value), axis)
+        _answer(talk, axis.make.write(axis.id, register, value), axis)
     try:
-        _answer(talk, dxl.write(axis.id, dxl.WATCHDOG, 5), axis)
-        _answer(talk, dxl.write(axis.id, dxl.GOAL, goal), axis)
+        _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 5), axis)
+        _answer(talk, axis.make.write(axis.id, dxl.GOAL, goal), axis)
         talk.wait(0.250)
         first = _registers(talk, axis)
         talk.wait(0.150)
         later = _registers(talk, axis)
     finally:
         for register in (dxl.WATCHDOG, dxl.TORQUE):
-            talk.ask(dxl.write(axis.id, register, 0))
+            talk.ask(axis.make.write(axis.id, register, 0))
     if first[dxl.WATCHDOG] != -1:
         raise ServoDeviationError("its watchdog has not tripped within 250 ms", "update its firmware")
     if abs(later[dxl.POSITION] - first[dxl.POSITION]) > 3 or abs(later[dxl.POSITION] - goal) < STEP_COUNTS // 4:
@@ -295,59 +322,18 @@ CHECKS: tuple[ServoCheck, ...] = (
 )
 
 
-def examine(talk: ServoTalk, axes: Sequence[Axis], checks: Sequence[ServoCheck] = CHECKS) -> Iterator[ServoResult]:
-    """Run the checks for each servo; a servo that does not answer is skipped from then on."""
+def examine(talk: ServoTalk, checks: Sequence[ServoCheck] = CHECKS) -> Iterator[ServoResult]:
+    """Run the checks for each servo; a servo that does not answer the first one is skipped from then on."""
     mute: set[int] = set()
     for check in checks:
-        for axis in axes[:1] if check.of_bus else axes:
+        number = CHECKS.index(check) + 1
+        for axis in talk.axes[:1] if check.of_bus else talk.axes:
             if axis.id in mute or (check.of_bus and mute) or not check.applies_to(axis.make):
                 continue
-            result = _run_check(talk, check, axis, axes)
-            if check is CHECKS[0] and result.outcome == "failed" and "does not answer" in result.seen:
-                mute.add(axis.id)
-            yield result
-
-
-def _run_check(talk: ServoTalk, check: ServoCheck, axis: Axis, axes: Sequence[Axis]) -> ServoResult:
-    number, servo = CHECKS.index(check) + 1, 0 if check.of_bus else axis.number
-    try:
-        return ServoResult(number, servo, check.clause, "passed", check.examine(talk, axis, axes))
-    except ServoDeviationError as deviation:
-        return ServoResult(number, servo, check.clause, "failed", deviation.seen, deviation.fix)
-
-
-class PortTalk:
-    """`ServoTalk` on a real port, a context manager; raises OSError if the port cannot be opened."""
-
-    def __init__(self, host: ServoHost, baud: int, port: str) -> None:
-        from palmd.devices.port import Port
-
-        self.baud = baud
-        self.axes = host.axes
-        self._port = Port("arm", port, baud)
-
-    def __enter__(self) -> PortTalk:
-        if not self._port.poll_open(time.monotonic()):
-            raise OSError(self._port.error)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._port.close()
-
-    def ask(self, packet: bytes, patience_s: float = ANSWER_S, answers: int = 1) -> list[tuple[Packet, float]]:
-        """See `ServoTalk`."""
-        reader = self.axes[0].make.reader(self.baud)
-        while self._port.read():
-            pass
-        t_sent = time.monotonic()
-        self._port.write(packet)
-        found: list[tuple[Packet, float]] = []
-        while len(found) < answers and time.monotonic() < t_sent + patience_s:
-            time.sleep(2e-4)
-            t = time.monotonic()
-            found += [(each, t - t_sent) for each in reader.feed(self._port.read(), t) if each.is_status]
-        return found
-
-    def wait(self, seconds: float) -> None:
-        """See `ServoTalk`."""
-        time.sleep(seconds)
+            servo = 0 if check.of_bus else axis.number
+            try:
+                yield ServoResult(number, servo, check.clause, "passed", check.examine(talk, axis))
+            except ServoDeviationError as deviation:
+                if check is CHECKS[0] and isinstance(deviation, NoAnswerError):
+                    mute.add(axis.id)
+                yield ServoResult(number, servo, check.clause, "failed", deviation.seen, deviation.fix)

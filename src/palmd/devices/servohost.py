@@ -17,16 +17,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum, auto
 
-from palmd.config.arms import ServoConfig
-from palmd.devices.actuator import ArmPose, ArmReport, ArmState, JointPose, Outgoing
+from palmd.config.arms import ServosConfig
+from palmd.devices.actuator import (
+    FREEZE_S,
+    LOST_S,
+    Actuator,
+    ArmPose,
+    ArmReport,
+    ArmState,
+    JointPose,
+    Outgoing,
+    Reach,
+)
 from palmd.devices.arrival import byte_time
 from palmd.devices.framing import FrameCounters
-from palmd.devices.servoaxis import Axis
-from palmd.devices.servobus import Packet, Registers, ServoMake
+from palmd.devices.servobus import Axis, Packet, Registers, ServoMake
 from palmd.devices.servoscripts import (
     ANSWER_S,
     WATCHDOG_S,
@@ -41,12 +50,6 @@ from palmd.devices.servoscripts import (
     stop_watchdogs,
     torque_off,
 )
-
-FREEZE_S = 0.080
-"""Time without a reading (s) after which motion should halt."""
-
-LOST_S = 0.250
-"""Time without a reading (s) after which the bus is lost."""
 
 GREET_S = 0.250
 IDLE_PERIOD_S = 0.050
@@ -67,6 +70,9 @@ SLOW_ADAPTER_S = 0.008
 STATUS_EVERY = 10  # cycles between readings of torque and hardware errors
 MAX_MISSES = 3  # consecutive cycles without an accepted goal until a fault; each packet may have been damaged
 
+FAULT_CODES = frozenset(
+    {"voltage", "hot", "encoder", "shock", "overload", "watchdog", "refused", "restarted", "set-up"}
+)
 _LATCHED = ("refused", "restarted", "watchdog", "set-up")  # faults that readings cannot clear
 
 
@@ -128,32 +134,26 @@ class _Cycle:
     found: dict[int, Packet] = field(default_factory=dict)
 
 
-class ServoHost:
-    """Host of the servos of one bus, palm 1's first; see the module's docstring.
+class ServoHost(Actuator):
+    """`Actuator` of the servos of one bus, palm 1's first; see the module's docstring."""
 
-    `state` is the last reported state, None while unknown. `refusal` is the reason why the last request failed, else
-    None.
-    """
-
-    def __init__(self, baud: int, servos: Sequence[ServoConfig], make: ServoMake) -> None:
-        """`baud` in bit/s; all servos are of the same make."""
-        self._make = make
-        self.axes = tuple(Axis.from_config(number, servo, make) for number, servo in enumerate(servos, 1))
+    def __init__(self, config: ServosConfig, make: ServoMake) -> None:
+        """All servos are of the same make. Nothing is opened yet."""
+        super().__init__(config, "packets")
+        self._make, baud = make, config.baud
+        self.axes = tuple(Axis.from_config(number, servo, make) for number, servo in enumerate(config.servos, 1))
         self._ids = tuple(axis.id for axis in self.axes)
         self.period_s = cycle_period(baud, len(self.axes), make)
         self.profile_ms = round(PROFILE_PERIODS * self.period_s * 1e3)
         self._byte_s = byte_time(baud)
         self._reader = make.reader(baud)
         self.counters = ServoCounters(bus=self._reader.counters)
-        self.state: ArmState | None = None
-        self.refusal: str | None = None
+        self.pose: JointPose | None = None
         self.faults: dict[str, str] = {}
         """Active faults: text by the code in the fault table, without the arm's name."""
         self.last_status: dict[int, Registers] = {}
         """The last reading of each servo's `status_span`."""
         self._phase = Phase.GREETING
-        self._pose: JointPose | None = None
-        self._t_pose = -math.inf
         self._script: Script | None = None
         self._request: ServoRequest | None = None
         self._answers: dict[int, Packet] = {}
@@ -174,26 +174,9 @@ class ServoHost:
 
     # Queries
 
-    @property
-    def pose(self) -> JointPose | None:
-        """The last reported pose, None while unknown."""
-        return self._pose
-
     def linked(self, t: float) -> bool:
         """Whether all servos are set up and have answered within the last 250 ms at `t` (s)."""
-        return self.state is not None and t - max(self._t_pose, self._t_answer) <= LOST_S
-
-    def lost(self, t: float) -> bool:
-        """Whether the bus is not linked at `t` (s)."""
-        return not self.linked(t)
-
-    def frozen(self, t: float) -> bool:
-        """Whether, while following, there has been no reading for 80 ms at `t` (s): motion should halt."""
-        return self.tracking and self.age(t) > FREEZE_S
-
-    def age(self, t: float) -> float:
-        """Age (s) of the last reading of all servos at `t` (s); infinite before the first."""
-        return t - self._t_pose
+        return self.state is not None and t - max(self._t_report, self._t_answer) <= LOST_S
 
     @property
     def tracking(self) -> bool:
@@ -210,6 +193,36 @@ class ServoHost:
     def error(self) -> str:
         """Text of the active faults; empty if there are none."""
         return "; ".join(self.faults.values())
+
+    @property
+    def reach(self) -> Reach | None:
+        """None: servo limits are angles, and are set from the configuration."""
+        return None
+
+    def health(self, refresh: bool) -> Iterator[str]:
+        """Yield the servos' fault conditions as well."""
+        yield from super().health(refresh)
+        yield from (f"servo-{code}" for code in self.faults if code in FAULT_CODES)
+
+    def _garbled(self) -> tuple[int, int]:
+        bus, missed = self.counters.bus, self.counters.missed
+        return bus.packets + missed, bus.crc_errors + missed
+
+    def evidence(self, condition: str, t: float) -> str:
+        """Return the measurements behind a condition at `t` (s)."""
+        match condition:
+            case "late" | "link-lost":
+                limit_s = FREEZE_S if condition == "late" else LOST_S
+                return f"the last reading is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms"
+            case "mute":
+                return f"{self.counters.bus.bytes} bytes have come since the start"
+            case "garbled":
+                return self._error_shares.text(condition)
+        return self.faults.get(condition.removeprefix("servo-"), "")
+
+    def counts(self) -> dict[str, float]:
+        """All counters of the bus since the start."""
+        return self.counters.as_dict()
 
     # Requests
 
@@ -284,8 +297,8 @@ class ServoHost:
         if cycle.address == self._make.status_span[0]:
             self.last_status = registers
         self._check_registers(registers, {servo: each.error for servo, each in cycle.found.items()}, cycle.goals)
-        self._pose, self._t_pose = self._pose_from(registers), t_sample
-        return ArmReport(t_sample, self._reported_state(), self._pose)
+        self.pose, self._t_report = self._pose_from(registers), t_sample
+        return ArmReport(t_sample, self._reported_state(), self.pose)
 
     def _pose_from(self, registers: Mapping[int, Registers]) -> JointPose:
         directions = [axis.direction(registers[axis.id][self._make.position]) for axis in self.axes]
@@ -364,7 +377,7 @@ class ServoHost:
     def poll(self, t: float, target: ArmPose | None) -> Outgoing:
         """Return what to write at `t` (s, monotonic); `target` is the set-point while tracking."""
         self._t_now = t
-        silent_s = t - max(self._t_pose, self._t_idle)
+        silent_s = t - max(self._t_report, self._t_idle)
         if self.state is not None and self._script is None and silent_s > LOST_S:
             self.counters.losses += 1
             self._unlink("the servos do not answer")
@@ -506,7 +519,7 @@ class ServoHost:
         self._rates = (0.0,) * len(self._goals)
         self._sent_counts, self._missed_goals, self._turned_on = [goals], {}, ()
         self._path = {servo: float(goal) for servo, goal in goals.items()}
-        self._pose, self._t_pose = self._pose_from(awake), self._t_answer
+        self.pose, self._t_report = self._pose_from(awake), self._t_answer
         self._phase, self.state = Phase.FOLLOWING, ArmState.TRACKING
         self._t_slot = self._t_now
 
@@ -549,7 +562,7 @@ class ServoHost:
         self._phase = Phase.GREETING
         self._reset_unreported = False
         self._t_slot = -math.inf
-        self.state = self._pose = None
+        self.state = self.pose = None
         self.faults = {}
 
 

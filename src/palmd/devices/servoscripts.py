@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass
 
-from palmd.devices.servoaxis import Axis
-from palmd.devices.servobus import Packet, Register, Registers
+from palmd.devices.servobus import Axis, Packet, Register, Registers
 
 ANSWER_S = 0.040
 """Timeout of an answer (s); a USB adapter may delay it by 16 ms."""

@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from palmd.devices.arrival import FirstByteClock
+from palmd.devices.health import Counters
 from palmd.devices.pad import PadReport
 
 PACKET_BYTES = 12
@@ -44,7 +45,7 @@ class StripPacket(PadReport):
 
 
 @dataclass(slots=True)
-class StripCounters:
+class StripCounters(Counters):
     """Counters of a strip's line. `bytes == 12 * packets + discarded + bytes pending` at all times.
 
     `crc_errors` counts packets with a wrong checksum, `lost` packets missing according to the sequence counter,
@@ -61,10 +62,6 @@ class StripCounters:
     batches: int = 0
     batched: int = 0
     out_of_range: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """All counters by name."""
-        return asdict(self)
 
 
 def checksum(body: bytes) -> int:

@@ -24,7 +24,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -94,41 +93,48 @@ class TaxelCounters(FrameCounters):
     unanswered: int = 0
 
 
-class TaxelProtocol(Protocol):
+class TaxelProtocol:
     """Protocol of one device: the functions that `FrameScanner` needs, and the content of a frame."""
 
-    first_byte: int | None
-    discard_whole: bool
-    refusals: int
+    first_byte: int | None = None
+    discard_whole = False
+    refusals = 0
     """Number of answers that were exceptions."""
+
+    def __init__(self, config: TaxelsConfig) -> None:
+        self._config = config
 
     def size(self, head: Head) -> int | None:
         """See `FrameScanner`."""
+        raise NotImplementedError
 
-    def is_valid(self, frame: bytes) -> bool:
-        """See `FrameScanner`."""
+    def is_valid(self, frame: bytes) -> bool:  # noqa: ARG002
+        """See `FrameScanner`; without a checksum, `size` checks what there is."""
+        return True
 
     def pressures(self, frame: bytes) -> Sequence[int] | None:
         """Return the counts of all taxels, row by row, if this frame completes them; else None."""
+        raise NotImplementedError
 
     def startup(self) -> bytes:
-        """Return what the host sends after the line has been opened."""
+        """Return what the host sends after the line has been opened; empty if frames are sent at once."""
+        return b""
 
     def request(self) -> bytes:
         """Return what the host sends to request a frame; empty if frames are sent unasked."""
+        return b""
 
     def forget(self) -> None:
         """Discard state after an interruption of the line."""
 
 
-class Tsf85:
+class Tsf85(TaxelProtocol):
     """TSF-85: one or two modules, the second one farther from the hinge."""
 
-    first_byte: int | None = TSF85_START
-    discard_whole = False
-    refusals = 0
+    first_byte = TSF85_START
 
     def __init__(self, config: TaxelsConfig) -> None:
+        super().__init__(config)
         self._modules = config.rows // TSF85_ROWS
         self._period_ms = round(config.report_s * 1e3)
         self._found: dict[int, bytes] = {}
@@ -148,10 +154,6 @@ class Tsf85:
             at += 1 + size
         return end if end > _TSF85_HEAD else 0
 
-    def is_valid(self, frame: bytes) -> bool:  # noqa: ARG002
-        """Always true: there is no checksum, and `size` has checked the fields."""
-        return True
-
     def pressures(self, frame: bytes) -> Sequence[int] | None:
         """Once the fields of every module have arrived."""
         at = _TSF85_HEAD
@@ -170,10 +172,6 @@ class Tsf85:
         """Start the stream of frames."""
         return tsf85_frame(TSF85_AUTOSEND, bytes((self._period_ms,)))
 
-    def request(self) -> bytes:
-        """Empty: frames are sent unasked."""
-        return b""
-
     def forget(self) -> None:
         """Discard an incomplete set of modules."""
         self._found.clear()
@@ -191,15 +189,10 @@ def tsf85_field(kind: int, module: int, data: bytes) -> bytes:
     return bytes((kind | module << 2,)) + data
 
 
-class St0001:
+class St0001(TaxelProtocol):
     """ST-00-01 on its own line, polled for every frame."""
 
-    first_byte: int | None = ST0001_ADDRESS
-    discard_whole = False
-    refusals = 0
-
-    def __init__(self, config: TaxelsConfig) -> None:
-        """The configuration is not used."""
+    first_byte = ST0001_ADDRESS
 
     def size(self, head: Head) -> int | None:
         """By the function code of the answer."""
@@ -232,9 +225,6 @@ class St0001:
         """Request all pressures."""
         return modbus_frame(READ_PRESSURES, b"")
 
-    def forget(self) -> None:
-        """Do nothing: there is no state."""
-
 
 def modbus_crc(data: bytes) -> int:
     """CRC-16/MODBUS: polynomial 8005 reflected, initial value FFFF."""
@@ -259,14 +249,13 @@ def modbus_frame(function: int, data: bytes, address: int = ST0001_ADDRESS) -> b
     return body + modbus_crc(body).to_bytes(2, "little")
 
 
-class TextLines:
+class TextLines(TaxelProtocol):
     """Lines of numbers; other lines are discarded, and so is the first one, which may be incomplete."""
 
-    first_byte: int | None = None
     discard_whole = True
-    refusals = 0
 
     def __init__(self, config: TaxelsConfig) -> None:
+        super().__init__(config)
         self._count = config.rows * config.columns
         self._longest = self._count * (MAX_DIGITS + 2) + 2
         self._cut = True
@@ -287,25 +276,12 @@ class TextLines:
         """Return all numbers of the line."""
         return [int(number) for number in re.findall(rb"\d+", frame)]
 
-    def startup(self) -> bytes:
-        """Empty: lines are sent unasked."""
-        return b""
-
-    def request(self) -> bytes:
-        """Empty: lines are sent unasked."""
-        return b""
-
     def forget(self) -> None:
         """Treat the next line as possibly incomplete."""
         self._cut = True
 
 
-PROTOCOLS: Mapping[str, type[Tsf85 | St0001 | TextLines]] = {"tsf85": Tsf85, "st0001": St0001, "text": TextLines}
-
-
-def make_protocol(config: TaxelsConfig) -> TaxelProtocol:
-    """Create the configured protocol."""
-    return PROTOCOLS[config.protocol](config)
+PROTOCOLS: Mapping[str, type[TaxelProtocol]] = {"tsf85": Tsf85, "st0001": St0001, "text": TextLines}
 
 
 class AxisCentroid:
@@ -350,7 +326,7 @@ class TaxelDecoder:
     def __init__(self, config: TaxelsConfig) -> None:
         """The configured baud rate is used for timestamps."""
         self.counters = TaxelCounters()
-        self.protocol = protocol = make_protocol(config)
+        self.protocol = protocol = PROTOCOLS[config.protocol](config)
         self._scanner = FrameScanner(
             config.line_baud, protocol.size, protocol.is_valid, first_byte=protocol.first_byte,
             discard_whole=protocol.discard_whole, counters=self.counters,

@@ -1,4 +1,4 @@
-"""Codec of the VersaPad's serial protocol, both directions, and conversion of its packets to samples.
+"""Codec of the VersaPad's serial protocol, both directions.
 
 A packet has six bytes and is sent while the pad is touched:
 
@@ -14,11 +14,10 @@ one packet. Everything here is pure and safe inside the 100 Hz loop.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, counts_to_mm
-from palmd.events import PadLift, PadSample
+from palmd.devices.health import Counters
+from palmd.devices.pad import PadReport
 
 PACKET_BYTES = 6
 HEADER_MASK, HEADER = 0xC3, 0xC0
@@ -93,8 +92,8 @@ class PadPacket(PadReport):
 
 
 @dataclass(slots=True)
-class PadCounters:
-    """Counters of a pad's line. `bytes == 6 * packets + bytes_discarded + bytes pending` at all times.
+class PadCounters(Counters):
+    """Counters of a pad's line. `bytes == 6 * packets + discarded + bytes pending` at all times.
 
     `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; in a packet
     with an illegal byte, that byte included; in a packet truncated by the next header, a gap or a reset.
@@ -112,13 +111,18 @@ class PadCounters:
     gaps: int = 0
 
     @property
-    def bytes_discarded(self) -> int:
+    def discarded(self) -> int:
         """All bytes that are not part of a packet."""
         return self.bad_header + self.bad_data + self.truncated
 
+    @property
+    def batched(self) -> int:
+        """Packets that came in one read with others, two or more in each: a lower bound."""
+        return 2 * self.batches
+
     def as_dict(self) -> dict[str, int]:
-        """Return all counters by name, `bytes_discarded` included."""
-        return {**asdict(self), "bytes_discarded": self.bytes_discarded}
+        """Return all counters by name, the discarded bytes included."""
+        return {**asdict(self), "bytes_discarded": self.discarded}
 
 
 def is_header(byte: int) -> bool:
@@ -248,82 +252,3 @@ def encode_packet(
     field = pressure_format.encode(pressure)
     raw[pressure_format.byte] = raw[pressure_format.byte] & ~pressure_format.mask | field
     return bytes(raw)
-
-
-@dataclass(frozen=True, slots=True)
-class PadCalibration:
-    """Conversion of counts to a distance from the hinge: s = zero + sign · counts / counts_per_mm + correction curve.
-
-    `length_mm` is the pad's active length; a reading below zero or more than `MARGIN_MM` beyond it is no contact.
-    `pressure_max` is the pressure format's full scale. across: for a square pad that reads both coordinates, the other
-    coordinate where it counts 0 (mm, its middle), and 1 or -1, whether it increases with the counts.
-    """
-
-    pad: int
-    zero_mm: float
-    counts_per_mm: float
-    newtons_per_count: float
-    axis: Literal["x", "y"] = "x"
-    sign: Literal[1, -1] = 1
-    length_mm: float = 55.5
-    pressure_max: int = PRESSURE_MAX
-    corrections_mm: tuple[float, ...] = ()
-    across: tuple[float, int] | None = None
-
-    def sample(self, packet: PadPacket) -> PadSample | None:
-        """Return the contact that `packet` reports (s in m, force in N), or None if it is not on the pad.
-
-        At full scale the pressure is only a lower bound, so the sample has no force.
-        """
-        counts, across_counts = (packet.x_counts, packet.y_counts)[:: 1 if self.axis == "x" else -1]
-        s_mm = counts_to_mm(self, counts)
-        if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
-            return None
-        newtons = packet.pressure * self.newtons_per_count
-        force, at_least = (newtons, None) if packet.pressure < self.pressure_max else (None, newtons)
-        if self.across is None:
-            return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, at_least=at_least)
-        (middle_mm, sign), offset_mm = self.across, across_counts / self.counts_per_mm
-        if abs(offset_mm) > 0.5 * self.length_mm + MARGIN_MM:
-            return None
-        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * offset_mm) * 1e-3, at_least)
-
-
-class PadReceiver:
-    """Processing of one pad from bytes to events: decoder, calibration and lift-off detection."""
-
-    def __init__(self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None) -> None:
-        """Raises ValueError if `baud` (bit/s) is not positive."""
-        self.decoder = VersaPadDecoder(baud, pressure)
-        packet_s = PACKET_BYTES * byte_time(baud)  # at its highest rate the pad sends packets without pauses
-        self.touch = TouchTracker(calibration.pad, packet_s, packet_s)
-        self.latest: PadPacket | None = None
-        self._calibration = calibration
-
-    @property
-    def counters(self) -> PadCounters:
-        """Counters of the line."""
-        return self.decoder.counters
-
-    def feed(self, data: bytes, t_recv: float) -> list[PadSample | PadLift]:
-        """Process the bytes read at `t_recv` (s) and return the contacts and lift-offs that they report."""
-        events: list[PadSample | PadLift] = []
-        if data:
-            self.touch.bytes_received(t_recv)
-        for packet in self.decoder.feed(data, t_recv):
-            self.latest = packet
-            event = self.touch.report(packet) or self._sample(packet)
-            if event is not None:
-                events.append(event)
-        return events
-
-    def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off at `t` (s) if the pad has been silent for too long or another device sends."""
-        return self.touch.poll(t, gone=self.decoder.foreign)
-
-    def _sample(self, packet: PadPacket) -> PadSample | None:
-        if not packet.in_use:
-            return None
-        sample = self._calibration.sample(packet)
-        self.counters.out_of_range += sample is None
-        return sample

@@ -7,8 +7,9 @@ import sys
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
 from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, REPORT, CheckResult, examine
-from palmd.devices.armconformance_port import ArmLine, ArmLineError
+from palmd.devices.armconformance_port import ArmLine
 from palmd.devices.armconformance_talk import Talk
+from palmd.devices.port import PortUnavailableError
 
 _WORDS = {"passed": "pass", "failed": "FAIL", "not run": "----"}
 _QUESTION = (
@@ -27,7 +28,7 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
     try:
         with ArmLine(path, baud) as line:
             return _summary(path, _examined(path, line, Talk(baud), sure))
-    except ArmLineError as error:
+    except PortUnavailableError as error:
         raise CliError(RIG_FAILED, str(error)) from None
 
 

@@ -13,9 +13,8 @@ from typing import Any
 from palmd.config.addresses import from_here
 from palmd.config.two_palms import Config
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.doctor import decision_tree, machine, ports
+from palmd.doctor import lateness, machine, ports
 from palmd.doctor.finding import Finding
-from palmd.doctor.lateness import percentiles
 from palmd.doctor.wakeups import Meter
 from palmd.plausibility import implausible
 from palmd.system.mechanism import PALMS
@@ -55,9 +54,9 @@ def latency_tree() -> list[str]:
             meter.close()
     if wakeups is None:
         return []
-    found = [decision_tree.wakeup_branch(percentiles(wakeups.lateness_ms)[1])]
+    found = [lateness.wakeup_branch(lateness.percentiles(wakeups.lateness_ms)[1])]
     return [
-        *decision_tree.lines(found),
+        *lateness.lines(found),
         f"  measured for {METER_S:g} s by {wakeups.by}; run palmd doctor latency for the rest",
     ]
 

@@ -20,8 +20,8 @@ from typing import Any
 
 from palmd.console.arguments import seconds
 from palmd.console.shipped import shipped
-from palmd.doctor import decision_tree, load
-from palmd.doctor.lateness import Case, TickLateness, table
+from palmd.doctor import load
+from palmd.doctor.lateness import Case, TickLateness, branches, lines, table
 from palmd.doctor.wakeups import Meter
 from palmd.harness.operator import Operator
 from palmd.harness.processes import StopRequest
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
                 by.add(measured_by)
     if cases:
         print(table(cases, " / ".join(sorted(by))))
-        print("\n".join(["", *decision_tree.lines(tuple(decision_tree.branches(cases)))]))
+        print("\n".join(["", *lines(tuple(branches(cases)))]))
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import grp
 import os
 import stat
@@ -143,25 +144,22 @@ def latency(name: str, path: str) -> Finding:
 
 def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
     """Check whether reports arrive; most pads report only while they are touched."""
-    from palmd.devices.pad import make_pad
-    from palmd.devices.port import PortWaiter
+    from palmd.devices.padlistener import PadListener
+    from palmd.devices.port import PortUnavailableError, PortWaiter
 
     what = f"{name} talks"
-    driver = make_pad(1 if name.endswith("1") else 2, pad)
-    port = driver.port()
+    try:
+        listener = PadListener(1 if name.endswith("1") else 2, pad)
+    except PortUnavailableError as error:
+        return Finding(what, "missing", str(error))
     t = time.monotonic()
-    if not port.poll_open(t):
-        return Finding(what, "missing", str(port.error))
-    driver.opened(t)
-    waiter = PortWaiter([port])
-    reports, t_end = 0, t + LISTEN_S
-    while port.is_open and (t < t_end or driver.starting):
-        waiter.wait(min(t + 0.02, t_end))
-        data = port.read()
-        t = time.monotonic()
-        reports += len(driver.reports(data, t))
-        driver.tend(port, t)
-    port.close()
+    reports, t_end, driver = 0, t + LISTEN_S, listener.driver
+    with listener, contextlib.suppress(PortUnavailableError):
+        waiter = PortWaiter([listener.port])
+        while t < t_end or driver.starting:
+            waiter.wait(min(t + 0.02, t_end))
+            reports += len(listener.read())
+            t = time.monotonic()
     if reports:
         return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")
     if driver.diagnosis is not None:
@@ -172,15 +170,16 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
 def arm_answers(port: str, baud: int, path: Path) -> Finding:
     """Check that the controller answers hello and query; nothing moves."""
     from palmd.devices.armconformance import CHECKS, REPORT, examine
-    from palmd.devices.armconformance_port import ArmLine, ArmLineError
+    from palmd.devices.armconformance_port import ArmLine
     from palmd.devices.armconformance_talk import Talk
+    from palmd.devices.port import PortUnavailableError
 
     what = "arm answers"
     talk = Talk(baud)
     try:
         with ArmLine(port, baud) as line:
             results = [line.play(examine(check, talk)) for check in (CHECKS[0], REPORT)]
-    except ArmLineError as error:
+    except PortUnavailableError as error:
         return Finding(what, "missing", str(error))
     if talk.home is None:
         fix = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"

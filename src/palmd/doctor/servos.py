@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from palmd.config.arms import DynamixelConfig, FeetechConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.actuator import make_actuator
-from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, PortTalk, ServoResult, examine
+from palmd.devices.port import PortUnavailableError
+from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, ServoResult, ServoTalk, examine
 from palmd.devices.servohost import ServoHost
 from palmd.doctor.arm import confirmed
 from palmd.doctor.finding import Finding
@@ -26,9 +27,9 @@ def findings(arm: DynamixelConfig | FeetechConfig) -> Iterator[Finding]:
     """Yield one finding for each check of each servo."""
     try:
         with _talk(arm) as talk:
-            for result in examine(talk, talk.axes, READ_ONLY_CHECKS):
+            for result in examine(talk, READ_ONLY_CHECKS):
                 yield Finding(_name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.fix)
-    except OSError as error:
+    except PortUnavailableError as error:
         yield Finding("servos", "missing", str(error))
 
 
@@ -42,12 +43,12 @@ def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
     try:
         with _talk(arm) as talk:
             still = [check for check in CHECKS if not check.moves]
-            results += _printed(examine(talk, talk.axes, still))
+            results += _printed(examine(talk, still))
             if not any(result.outcome == "failed" for result in results):
                 moving = sure or confirmed(_QUESTION)
             if moving:
-                results += _printed(examine(talk, talk.axes, [check for check in CHECKS if check.moves]))
-    except OSError as error:
+                results += _printed(examine(talk, [check for check in CHECKS if check.moves]))
+    except PortUnavailableError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     failed = sum(result.outcome == "failed" for result in results)
     print(f"{arm.port}: {len(results) - failed} of {len(results)} checks passed, {failed} failed")
@@ -56,10 +57,10 @@ def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
     return RIG_FAILED if failed else 0 if moving else BAD_INPUT
 
 
-def _talk(arm: DynamixelConfig | FeetechConfig) -> PortTalk:
+def _talk(arm: DynamixelConfig | FeetechConfig) -> ServoTalk:
     host = make_actuator(arm)
     assert isinstance(host, ServoHost)
-    return PortTalk(host, arm.baud, arm.port)
+    return ServoTalk(arm.port, arm.baud, host.axes)
 
 
 def _printed(results: Iterator[ServoResult]) -> list[ServoResult]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from palmd.config.pads import PadConfig
 from palmd.config.two_palms import PadsConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
-from palmd.devices.pad import PadReport, make_pad
-from palmd.devices.port import PortWaiter
+from palmd.devices.pad import PadReport
+from palmd.devices.padlistener import PadListener
+from palmd.devices.port import PortUnavailableError, PortWaiter
 from palmd.system.mechanism import HELD_BY, PALMS
 
 TOUCH_WITHIN_S = 20.0
@@ -40,50 +41,24 @@ class FingerStroke:
         return round(along_x / fifth), round(along_y / fifth)
 
 
-class _Listener:
-    """Reads the reports of one pad."""
-
-    def __init__(self, palm: int, pad: PadConfig) -> None:
-        """Open the pad's port; CliError if that fails."""
-        t = time.monotonic()
-        self.palm = palm
-        self._pad = make_pad(palm, pad)
-        self.port = self._pad.port()
-        if not self.port.poll_open(t):
-            raise CliError(RIG_FAILED, str(self.port.error))
-        self._pad.opened(t)
-
-    def read(self) -> list[PadReport]:
-        """Return the new reports of a touch; CliError if the port is lost."""
-        data = self.port.read()
-        t = time.monotonic()
-        if not self.port.is_open:
-            raise CliError(RIG_FAILED, str(self.port.error))
-        reports = self._pad.reports(data, t)
-        self._pad.tend(self.port, t)
-        return [report for report in reports if report.in_use]
-
-
 def examine_pads(path: Path, pads: PadsConfig) -> int:
     """Ask for a stroke on each pad and print what to change; return 0 if nothing, else 1.
 
     CliError if a port cannot be opened, or no pad is touched.
     """
-    listeners: list[_Listener] = []
     strokes: list[FingerStroke] = []
     try:
-        for palm in PALMS:
-            listeners.append(_Listener(palm, pads.of(palm)))
-        for palm, held in zip(PALMS, HELD_BY, strict=True):
-            which = f"palm {palm}, the one {held}"
-            print(
-                f"{which}: put a finger on its pad near the hinge between the palms, slide outwards, lift",
-                flush=True,
-            )
-            strokes.append(_stroke(palm, listeners))
-    finally:
-        for listener in listeners:
-            listener.port.close()
+        with ExitStack() as stack:
+            listeners = {palm: stack.enter_context(PadListener(palm, pads.of(palm))) for palm in PALMS}
+            for palm, held in zip(PALMS, HELD_BY, strict=True):
+                which = f"palm {palm}, the one {held}"
+                print(
+                    f"{which}: put a finger on its pad near the hinge between the palms, slide outwards, lift",
+                    flush=True,
+                )
+                strokes.append(_stroke(palm, listeners))
+    except PortUnavailableError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
     lines = list(changes(strokes, pads))
     if not lines:
         print(f"both pads match {path}")
@@ -93,17 +68,17 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
     return BAD_INPUT
 
 
-def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
+def _stroke(palm: int, listeners: Mapping[int, PadListener]) -> FingerStroke:
     """Return the next stroke, on any pad; CliError for a touch of both at once or none in time."""
-    waiter = PortWaiter([listener.port for listener in listeners])
-    received: dict[int, list[PadReport]] = {listener.palm: [] for listener in listeners}
+    waiter = PortWaiter([listener.port for listener in listeners.values()])
+    received: dict[int, list[PadReport]] = {number: [] for number in listeners}
     t = time.monotonic()
     t_end = t + TOUCH_WITHIN_S
     while t < t_end:
         waiter.wait(min(t + _LOOK_S, t_end))
-        for listener in listeners:
-            packets = listener.read()
-            received[listener.palm] += packets
+        for number, listener in listeners.items():
+            packets = [report for report in listener.read() if report.in_use]
+            received[number] += packets
             if packets:
                 t_end = time.monotonic() + LIFTED_S
         t = time.monotonic()

@@ -145,6 +145,13 @@ def refused(path, capsys, status, *more):
     return err.splitlines()[-1]
 
 
+def base_in_arm(sections):
+    """Where the palms' base is for the arm (mm), by complex numbers."""
+    offset = complex(*sections.rig.base_mm) - complex(sections.arm.base_x_mm, sections.arm.base_y_mm)
+    turned = offset * np.exp(-1j * math.radians(sections.arm.base_yaw_deg))
+    return turned.real, turned.imag
+
+
 def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
     daemon = Daemon(path)
     with serving(path, daemon):
@@ -163,6 +170,11 @@ def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
     assert out.startswith("gravity: ")
     assert "palm 2   29.0°" in out
     assert "place the roller at the upper end of palm 2" in err
+    before = load_config(path)
+    after = changed(before, result["configuration"]["rig"], result["configuration"]["arm"])
+    assert config_hash(after) == result["settings_sha256"]
+    assert base_in_arm(after) == pytest.approx(base_in_arm(before), abs=2e-3)
+    assert after.arm.base_yaw_deg - before.arm.base_yaw_deg == pytest.approx(told["yaw_error_deg"], abs=1e-3)
 
 
 def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
@@ -175,25 +187,6 @@ def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
     slow_limits = motion_limits(config.model_copy(update={"limits": slow}))
     ends = compile_plan(daemon.plans[0], slow_limits).rounds[0].segments
     assert [round(math.degrees(each.at(each.duration).angles[0])) for each in ends] == [8, 26, 41, 59]
-
-
-def test_taken_over_the_palms_base_stays_for_the_arm_and_the_hash_is_the_sections(path):
-    with serving(path, Daemon(path)):
-        assert calibrate(path, "--rolls", 4) == 0
-    result = yaml.safe_load((path.parent / "calibration/gravity.yaml").read_text())
-    before = load_config(path)
-    after = changed(before, result["configuration"]["rig"], result["configuration"]["arm"])
-    assert config_hash(after) == result["settings_sha256"]
-    assert base_in_arm(after) == pytest.approx(base_in_arm(before), abs=2e-3)
-    turned = after.arm.base_yaw_deg - before.arm.base_yaw_deg
-    assert turned == pytest.approx(result["found"]["yaw_error_deg"], abs=1e-3)
-
-
-def base_in_arm(sections):
-    """Where the palms' base is for the arm (mm), by complex numbers."""
-    offset = complex(*sections.rig.base_mm) - complex(sections.arm.base_x_mm, sections.arm.base_y_mm)
-    turned = offset * np.exp(-1j * math.radians(sections.arm.base_yaw_deg))
-    return turned.real, turned.imag
 
 
 def test_no_daemon(path, capsys):
@@ -276,20 +269,20 @@ def test_slopes_keep_to_the_limits():
     assert str(Slope(2, (41.0, 110.0), 3)) == "palm 2, 29°"
 
 
-def test_what_a_person_should_look_into():
-    fit = GravityFit(9.8, 0.0, 0.003, 0.01, 1e-4, 1e-4, 1.0, (), 0)
-    assert remarks(fit, "ball") == []
-    assert "counts_per_mm, and that it is a ball" in remarks(replace(fit, g=9.9), "ball")[0]
-    assert "a negative resistance" in remarks(replace(fit, resistance=-0.001), "ball")[0]
-    assert "round and clean" in remarks(replace(fit, scatter=2.5), "ball")[0]
-
-
 def test_an_exact_yaw_changes_nothing(path):
     config = load_config(path)
     values = proposed_settings(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
     assert values == {
         "rig": {"gravity_m_s2": 9.5}, "arm": {"base_x_mm": -280.0, "base_y_mm": 30.0, "base_yaw_deg": 1.0}
     }  # fmt: skip
+
+
+def test_what_a_person_should_look_into():
+    fit = GravityFit(9.8, 0.0, 0.003, 0.01, 1e-4, 1e-4, 1.0, (), 0)
+    assert remarks(fit, "ball") == []
+    assert "counts_per_mm, and that it is a ball" in remarks(replace(fit, g=9.9), "ball")[0]
+    assert "a negative resistance" in remarks(replace(fit, resistance=-0.001), "ball")[0]
+    assert "round and clean" in remarks(replace(fit, scatter=2.5), "ball")[0]
 
 
 @pytest.mark.parametrize(

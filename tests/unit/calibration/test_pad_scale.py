@@ -10,7 +10,7 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import counts_to_mm, linear_mm
+from palmd.devices.pad import counts_to_mm
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions
 
@@ -162,14 +162,6 @@ def test_a_configured_curve_is_allowed_for_and_can_be_found_anew(bent):
         assert now.zero_mm == pytest.approx(was.zero_mm, abs=0.01)
         assert now.counts_per_mm == pytest.approx(was.counts_per_mm, rel=1e-3)
         assert new.curve_mm == pytest.approx(was.curve_mm, abs=0.02)
-
-
-def test_a_curve_is_undone_where_it_was_added():
-    pad = CONFIGURED[0].model_copy(update={"curve_mm": (0.3, -0.2, 0.5, 0.0)})
-    counts = np.arange(-300, 300, 7)
-    straight = pad.zero_mm + counts / pad.counts_per_mm
-    back = linear_mm(pad, np.array([counts_to_mm(pad, count) for count in counts.tolist()]))
-    assert back == pytest.approx(straight, abs=1e-9)
 
 
 @pytest.mark.parametrize("curve_mm", [[0.1], [0.0, 20.0], [0.0, math.nan]])

@@ -6,18 +6,7 @@ import numpy as np
 import pytest
 from rolls import READING_SD, rolled, standing
 
-from palmd.calibration.rolling_fit import (
-    INCONSISTENT,
-    NOT_SMOOTH,
-    TOO_SHORT,
-    Roll,
-    TooFewRollsError,
-    accelerate,
-    causes,
-    find_rolls,
-    fit_gravity,
-    slope,
-)
+from palmd.calibration.rolling_fit import Roll, TooFewRollsError, accelerate, find_rolls, fit_gravity
 from palmd.events import PadSample
 
 POSES = [(1, 8.0, 110.0, 13), (1, 26.0, 110.0, 40), (2, 41.0, 110.0, 40), (2, 59.0, 110.0, 13)]
@@ -147,10 +136,3 @@ def test_too_few_rolls_or_slopes_are_refused_by_what_is_missing():
     good, _, _ = session(rng, [(1, 8.0, 110.0, 5), (2, 59.0, 110.0, 5)], **truth)
     with pytest.raises(TooFewRollsError, match="widen the limits"):
         fit_gravity(good, "ball")
-
-
-def test_words_for_slopes_and_what_was_left_out():
-    assert slope(1, 0.2) == 0.2
-    assert slope(2, math.pi - 0.2) == pytest.approx(0.2)
-    assert causes(2, 0, 1) == {TOO_SHORT: 2, INCONSISTENT: 1}
-    assert causes(0, 3, 0) == {NOT_SMOOTH: 3}

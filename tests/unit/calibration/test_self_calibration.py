@@ -12,8 +12,7 @@ import pytest
 import recorded
 import yaml
 
-from palmd.calibration.self_calibration import applied, fitted, proposed_settings
-from palmd.calibration.self_fit import RigFit, combined
+from palmd.calibration.self_calibration import RigFit, applied, combined, fitted, proposed_settings
 from palmd.cli import main
 from palmd.config.any_config import config_hash
 from palmd.config.two_palms import rig_description

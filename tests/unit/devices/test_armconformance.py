@@ -30,11 +30,6 @@ def test_the_emulated_controller_passes_and_hardly_moves(phase_s):
     assert far_end.controller.state is ArmState.READY
 
 
-def test_checks_are_numbered_in_order_and_those_that_move_nothing_come_first():
-    assert [check.number for check in CHECKS] == list(range(1, len(CHECKS) + 1))
-    assert sorted(check.tracks for check in CHECKS) == [check.tracks for check in CHECKS]
-
-
 def test_standing_checks_start_nothing():
     far_end, talk = FarEnd(), Talk(BAUD)
     for check in CHECKS:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
+from palmd.config.arms import AdeptConfig
 from palmd.devices.armhost import QUERY_S, ArmHost, ArmReport, _is_near
 from palmd.devices.armlink import (
     Ack,
@@ -40,6 +41,10 @@ HELLO = HelloReply(CYCLE_S, -0.6, 0.6, -0.6, 0.6, 1.0, 10.0)
 HOME = Pose(0.1, 0.2, math.radians(17.0))
 
 Filter = Callable[[float, bytes], bytes]
+
+
+def make_host(baud: int) -> ArmHost:
+    return ArmHost(AdeptConfig(port="arm", baud=baud))
 
 
 def intact(_t: float, line: bytes) -> bytes:
@@ -130,7 +135,7 @@ class Bench:
     """Host and controller joined by two paced wires, run from event to event."""
 
     def __init__(self, controller: Controller | None = None) -> None:
-        self.host = ArmHost(BAUD)
+        self.host = make_host(BAUD)
         self.controller = controller or Controller()
         self.t = 0.0
         self.target: Callable[[float], Pose | None] = lambda _t: None
@@ -330,28 +335,19 @@ def test_start_refused_says_why(bench: Bench) -> None:
 
 
 def test_start_without_a_link_is_refused_at_once() -> None:
-    host = ArmHost(BAUD)
+    host = make_host(BAUD)
     host.request_tracking()
     assert host.refusal == "start refused: no link to the arm's controller"
     assert not host.busy
 
 
 def test_line_too_slow_for_the_cycle_is_refused() -> None:
-    host = ArmHost(9600)
+    host = make_host(9600)
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
     host.request_tracking()
     assert host.refusal is not None
     assert "29.2 ms at 9600 baud, longer than the controller's cycle of 16 ms" in host.refusal
-
-
-def test_a_host_begins_with_nothing_counted_known_or_asked() -> None:
-    host = ArmHost(BAUD)
-    assert set(host.counters.as_dict().values()) == {0}
-    assert (host.tracking, host.busy, host.since_last_report) == (False, False, (0, 0))
-    assert (host.state, host.pose, host.commanded, host.last_error, host.refusal) == (None,) * 5
-    assert host.age(5.0) == math.inf
-    assert host.lost(5.0)
 
 
 @pytest.mark.parametrize("direction", ["to_host", "to_controller"])
@@ -372,26 +368,19 @@ def test_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: st
 # Stop and reset
 
 
-def test_stop_decelerates_and_is_followed_until_ready(bench: Bench) -> None:
+def test_stop_is_repeated_decelerates_and_is_followed_until_ready(bench: Bench) -> None:
     bench.track()
+    bench.to_controller = mute  # for half of the time until it is repeated
     bench.host.request_stop()
-    bench.run(0.05)
+    bench.run(0.04)
+    bench.to_controller = intact
+    bench.run(0.06)
     assert not bench.host.tracking
     assert bench.host.state is ArmState.DECELERATING
     bench.run(0.4)
     assert bench.host.state is ArmState.READY
     t_stop = bench.controller.commands(Stop)[0][0]
     assert not [t for t, _ in bench.controller.commands(SetPoint) if t > t_stop]
-
-
-def test_lost_stop_is_repeated(bench: Bench) -> None:
-    bench.track()
-    bench.to_controller = mute
-    bench.host.request_stop()
-    bench.run(0.04)
-    bench.to_controller = intact
-    bench.run(0.06)
-    assert bench.host.state is ArmState.DECELERATING
 
 
 def test_a_stop_under_way_is_not_overtaken(bench: Bench) -> None:
@@ -507,7 +496,7 @@ def test_after_a_hold_set_points_resume_at_the_actual_pose(bench: Bench) -> None
 
 def test_a_first_answer_that_is_a_refusal_is_the_last_error() -> None:
     """Nothing is in doubt before anything was heard: the wrong state is no echo of a fault that latched."""
-    host = ArmHost(BAUD)
+    host = make_host(BAUD)
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
     host.poll(0.06, None)
@@ -605,7 +594,7 @@ def test_survives_a_noisy_line() -> None:
 # Phase lock
 
 
-@pytest.mark.parametrize("phase_ms", range(0, 16, 2))
+@pytest.mark.parametrize("phase_ms", [0, 4, 8, 14])
 @pytest.mark.parametrize("drift", [-200e-6, 0.0, 200e-6])
 def test_set_points_land_in_mid_cycle(phase_ms: int, drift: float) -> None:
     bench = Bench(Controller(phase_ms * 1e-3, drift, jitter_s=1e-3))

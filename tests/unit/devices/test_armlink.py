@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 
 import pytest
 
@@ -79,11 +78,6 @@ def body_of(line: bytes, newline: bytes) -> str:
 
 def test_crc8_has_the_published_check_value() -> None:
     assert crc8(b"123456789") == 0xF4
-
-
-@pytest.mark.parametrize("data", [b"", b"H", b"\x00\x00", b"G00", bytes(range(256))])
-def test_crc8_is_the_remainder_of_a_division(data: bytes) -> None:
-    assert crc8(data) == crc8_by_division(data)
 
 
 def test_golden_lines() -> None:
@@ -202,26 +196,7 @@ def test_every_code_of_the_contract_has_a_text() -> None:
 LINE = encode_reply(Ack(1, ArmState.READY, POSE))
 
 
-@pytest.mark.parametrize("newline", [b"\n", b"\r\n"])
-def test_either_newline_is_taken(newline: bytes) -> None:
-    assert [line.body for line in LineReader(BAUD).feed(frame("G00", newline), 0.0)] == ["G00"]
-
-
-def test_bad_crc_is_dropped_and_counted() -> None:
-    reader = LineReader(BAUD)
-    bad = LINE.replace(b"+1", b"+2")
-    assert [line.body for line in reader.feed(bad + LINE, 0.0)] == ["A01R" + POSE_WIRE]
-    assert (reader.counters.crc_errors, reader.counters.lines) == (1, 1)
-    assert reader.counters.bytes_discarded == len(bad)
-
-
-def test_lower_case_crc_is_not_the_contracts() -> None:
-    reader = LineReader(BAUD)
-    assert reader.feed(b"H*ff\n", 0.0) == []
-    assert reader.counters.unframed == 1
-
-
-@pytest.mark.parametrize("noise", [b"\n", b"\r\n", b"*00\n", b"H\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"])
+@pytest.mark.parametrize("noise", [b"\n", b"\r\n", b"*00\n", b"H*ff\n", b"H*F\n", b"\x00H*FF\n", b"\xff\xfe*00\n"])
 def test_unframed_lines_are_counted(noise: bytes) -> None:
     reader = LineReader(BAUD)
     assert len(reader.feed(noise + LINE, 0.0)) == 1
@@ -247,12 +222,6 @@ def test_reset_discards_the_line_in_hand() -> None:
     assert reader.counters.bytes_discarded == 10
 
 
-def test_first_byte_is_back_dated_over_the_whole_read() -> None:
-    first, second = LineReader(BAUD).feed(LINE + LINE, 1.0)
-    assert first.t_first == pytest.approx(1.0 - (2 * len(LINE) - 1) * BYTE_S)
-    assert second.t_first == pytest.approx(1.0 - (len(LINE) - 1) * BYTE_S)
-
-
 def test_first_byte_keeps_the_earliest_evidence_over_reads() -> None:
     reader = LineReader(BAUD)
     reader.feed(LINE[:1], 1.0)
@@ -261,7 +230,3 @@ def test_first_byte_keeps_the_earliest_evidence_over_reads() -> None:
     reader.feed(LINE[:1], 2.0)
     (early,) = reader.feed(LINE[1:], 2.0)
     assert early.t_first == pytest.approx(2.0 - (len(LINE) - 1) * BYTE_S)
-
-
-def test_a_line_begins_with_nothing_counted() -> None:
-    assert set(asdict(LineReader(38400).counters).values()) == {0}

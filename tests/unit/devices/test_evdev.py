@@ -23,15 +23,11 @@ DOWN, UP = (evdev.EV_KEY, evdev.BTN_TOUCH, 1), (evdev.EV_KEY, evdev.BTN_TOUCH, 0
 
 
 def x(value):
-    return (evdev.EV_ABS, evdev.ABS_X, value)
+    return mt(evdev.ABS_X, value)
 
 
 def y(value):
-    return (evdev.EV_ABS, evdev.ABS_Y, value)
-
-
-def pressure(value):
-    return (evdev.EV_ABS, evdev.ABS_PRESSURE, value)
+    return mt(evdev.ABS_Y, value)
 
 
 def mt(code, value):
@@ -52,7 +48,7 @@ def test_a_record_is_that_of_the_kernel():
 
 def test_only_what_has_changed_is_told_and_the_rest_is_remembered():
     driver = pad()
-    (first,) = driver.feed(encode([DOWN, x(200), y(7), pressure(20), SYN], 1.0), 1.001)
+    (first,) = driver.feed(encode([DOWN, x(200), y(7), mt(evdev.ABS_PRESSURE, 20), SYN], 1.0), 1.001)
     assert (first.t_sample, first.s, first.force) == (1.0, pytest.approx(0.020), pytest.approx(0.4))
     (second,) = driver.feed(encode([y(9), SYN], 1.01), 1.011)
     assert (second.s, second.force) == (first.s, first.force)

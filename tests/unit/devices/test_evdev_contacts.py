@@ -1,15 +1,11 @@
 """Which contact a stream of input events holds: protocols A and B, overflows, and what does not touch."""
 
-from pathlib import Path
-
 import pytest
 
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader, encode
 from palmd.devices.pad import make_pad
 from palmd.events import PadLift
-
-RECORDINGS = Path(__file__).parents[4] / "shared/realdata/evemu"
 
 SYN, MT, DROPPED = (0, 0, 0), (0, 2, 0), (0, 3, 0)
 SLOT, X, Y, TOOL, ID, PRESSURE, DISTANCE = 0x2F, 0x35, 0x36, 0x37, 0x39, 0x3A, 0x3B
@@ -171,66 +167,3 @@ def test_a_box_round_two_contacts_is_no_place():
     assert reader.feed(encode([*slot(1, 8, 900, 3), SYN], 1.1), 1.1) == []
     (left,) = reader.feed(encode([a(ID, -1), SYN], 1.2), 1.2)
     assert left.x_counts == 500
-
-
-def frames_of(file):
-    frame = []
-    for line in file.read_text(errors="replace").splitlines():
-        if line.startswith("E:"):
-            _, stamp, kind, code, value = line.split()[:5]
-            frame.append((int(kind, 16), int(code, 16), int(value)))
-            if frame[-1][:2] == (0, 0):
-                yield float(stamp), frame
-                frame = []
-
-
-class PlainDecoder:
-    """Contacts as the kernel's text has them, written apart: places of what touches, for each protocol by itself."""
-
-    def __init__(self):
-        self.slots, self.slot, self.key, self.single, self.packets, self.is_a = {}, 0, None, {}, [], False
-
-    def frame(self, records):
-        now, listed = {}, []
-        ends = 0
-        for kind, code, value in records:
-            if (kind, code) == (1, 0x14A):
-                self.key = value
-            elif (kind, code) == (0, 2):
-                self.is_a, ends = True, ends + 1
-                listed += [now] if now else []
-                now = {}
-            elif kind == 3 and code == SLOT:
-                self.slot = value
-            elif kind == 3 and code >= 0x30:
-                now[code] = value
-                self.slots.setdefault(self.slot, {})[code] = value
-            elif kind == 3:
-                self.single[code] = value
-        if self.is_a:
-            if ends or self.key == 0:
-                self.packets = listed
-            contacts = self.packets
-        elif self.slots:
-            contacts = [each for each in self.slots.values() if each.get(ID, -1) >= 0 and X in each]
-        else:
-            contacts = [{X: self.single[0], Y: self.single.get(1, 0)}] if self.key and 0 in self.single else []
-        if self.key == 0:
-            contacts = []
-        return {(each[X], each.get(Y, 0)) for each in contacts if not each.get(DISTANCE) and each.get(TOOL) != 2}
-
-
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="recordings of real devices are not here")
-def test_recordings_of_real_devices_hold_the_contacts_that_the_kernels_text_says():
-    compared = 0
-    for file in sorted(RECORDINGS.rglob("*.events")):
-        reader, plain, down = EvdevReader(), PlainDecoder(), False
-        for number, (stamp, records) in enumerate(frames_of(file)):
-            expected = plain.frame(records)
-            for report in reader.feed(encode(records, stamp), stamp):
-                down = report.in_use
-                if down:
-                    assert (report.x_counts, report.y_counts) in expected, (file.name, number)
-            assert down == bool(expected), (file.name, number)
-            compared += 1
-    assert compared > 8000

@@ -47,7 +47,7 @@ def test_a_packet_that_was_cut_when_its_port_was_opened_is_no_damage():
             decoder, shares = VersaPadDecoder(9600), ErrorShares(SERIAL_PAD_LIMITS)
             decoder.feed(packet[cut:] + whole * packet, 0.0)
             counters = decoder.counters
-            assert counters.bytes_discarded == PACKET_BYTES - cut
-            counted = dict.fromkeys(SERIAL_PAD_LIMITS, (0, 0)) | {"garbled": (counters.bytes, counters.bytes_discarded)}
+            assert counters.discarded == PACKET_BYTES - cut
+            counted = dict.fromkeys(SERIAL_PAD_LIMITS, (0, 0)) | {"garbled": (counters.bytes, counters.discarded)}
             shares.update(counted)
             assert list(shares) == []

@@ -1,24 +1,18 @@
-"""Kinds of pads and actuators: found by name, and all that stands in the folder keeps the protocol."""
+"""Kinds of pads and actuators: found by name, each with its configuration and its emulation."""
 
-import inspect
 from pathlib import Path
 from typing import get_args
 
 import pytest
-from pad_bench import KINDS as PADS
 from pydantic import Discriminator, Tag
 
 from palmd import devices
-from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig, FeetechConfig
-from palmd.config.pads import PadConfig, VersaPadConfig
-from palmd.devices.actuator import Actuator, ArmState, Outgoing, Pose, make_actuator
+from palmd.config.arms import AdeptConfig, ArmConfig
+from palmd.config.pads import PadConfig
+from palmd.devices.actuator import ArmState, Outgoing, Pose, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
-from palmd.devices.pad import PadDriver, make_pad
-from palmd.devices.versapad import encode_packet
-from palmd.events import PadLift, PadSample
 
 FOLDER = Path(devices.__file__).parent
-BREAK_S, ANSWER_S = 0.4, 1.0
 
 
 def kinds(folder):
@@ -32,11 +26,6 @@ def kinds_in(union):
     return {kind for each in get_args(union) if not isinstance(each, Discriminator | Tag) for kind in kinds_in(each)}
 
 
-def members(protocol):
-    own = {name for name in vars(protocol) if not name.startswith("_")}
-    return own | set(inspect.get_annotations(protocol))
-
-
 def test_every_file_has_its_configuration_model_and_the_other_way_round():
     assert kinds("pads") == kinds_in(PadConfig)
     assert kinds("actuators") == kinds_in(ArmConfig)
@@ -45,79 +34,6 @@ def test_every_file_has_its_configuration_model_and_the_other_way_round():
 def test_every_kind_has_its_emulated_far_side():
     assert kinds("../rig/padkinds") == kinds_in(PadConfig)
     assert kinds("../rig/servokinds") - {"dynamixel_table"} == kinds_in(ArmConfig) - {"adept"}
-
-
-@pytest.mark.parametrize(
-    ("protocol", "driver"),
-    [
-        *((PadDriver, make_pad(2, config)) for config in PADS.values()),
-        (Actuator, make_actuator(AdeptConfig(port="b"))),
-        (Actuator, make_actuator(DynamixelConfig(kind="dynamixel", port="b"))),
-        (Actuator, make_actuator(FeetechConfig(kind="feetech", port="b"))),
-    ],
-)
-def test_a_driver_has_all_that_its_protocol_asks_for(protocol, driver):
-    assert len(members(protocol)) > 10
-    assert {name for name in members(protocol) if not hasattr(driver, name)} == set()
-
-
-class FakePort:
-    def __init__(self):
-        self.breaks = []
-
-    def set_break(self, active):
-        self.breaks.append(active)
-
-
-def pad(**values):
-    return make_pad(1, VersaPadConfig(port="a", **values))
-
-
-def test_a_pad_goes_from_bytes_to_events_and_counts():
-    driver = pad()
-    driver.opened(0.0)
-    (sample,) = driver.feed(encode_packet(0, 0, 50), 1.0)
-    assert isinstance(sample, PadSample)
-    assert driver.touching
-    assert driver.touch_end is None
-    assert driver.view(1.0).s == sample.s == pytest.approx(0.028)
-    assert driver.counts()["packets"] == 1
-    (lift,) = driver.poll(1.2)
-    assert isinstance(lift, PadLift)
-    assert driver.touch_end == "silent"
-
-
-def test_the_end_of_the_port_ends_the_touch():
-    driver = pad()
-    driver.opened(0.0)
-    driver.feed(encode_packet(0, 0, 50), 1.0)
-    assert driver.lost(1.01) == [PadLift(1.01, 1)]
-    assert not driver.is_open
-    assert not driver.touching
-
-
-def test_garbage_is_told_at_the_next_look_and_only_then():
-    driver = pad()
-    driver.opened(0.0)
-    driver.feed(b"\x3f" * 100, 1.0)
-    assert list(driver.health(False)) == []
-    assert list(driver.health(True)) == ["garbled"]
-    assert list(driver.health(False)) == ["garbled"]
-    assert "100 bytes, but no report among them at 9600 baud" in driver.diagnosis
-    assert list(driver.health(True)) == []
-
-
-def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer(monkeypatch):
-    monkeypatch.setattr("palmd.devices.pads.versapad.Port", FakePort)
-    driver, port = pad(handshake="break"), FakePort()
-    driver.opened(0.0)
-    for i in range(200):
-        driver.reports(b"", 0.01 * i)
-        driver.tend(port, 0.0)
-    assert port.breaks == [True, False]
-    assert not driver.starting
-    assert "no identity" in driver.diagnosis
-    assert list(driver.health(False)) == ["handshake"]
 
 
 def test_an_actuator_says_what_it_sent():

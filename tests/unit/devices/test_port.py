@@ -116,12 +116,6 @@ def test_the_kernels_counts_of_the_line_add_up_over_openings(port: Port, monkeyp
     assert counted() == [2, 11, 3, 4]
 
 
-def test_reading_nothing_is_empty_and_no_loss(port: Port) -> None:
-    assert port.read() == b""
-    assert port.is_open
-    assert port.error is None
-
-
 def test_baud_reaches_the_line(far: FarEnd, port: Port) -> None:
     assert termios.tcgetattr(far.master)[4] == termios.B9600
 
@@ -310,14 +304,6 @@ def test_what_comes_after_a_port_was_lost_and_found_wakes_the_same_waiter(far: F
         os.write(far.master, b"back")
         assert waiter.wait(time.monotonic() + 2.0) == [port]
         assert port.read() == b"back"
-
-
-def test_a_port_is_not_asked_again_when_it_has_nothing_new(far: FarEnd, port: Port) -> None:
-    """Asking is what waits for the kernel's own thread."""
-    waiter = PortWaiter([port])
-    os.write(far.master, b"!")
-    assert waiter.wait(time.monotonic() + 2.0) == [port]
-    assert waiter.wait(time.monotonic() + 0.02) == []
 
 
 def test_wait_asks_for_exactly_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:

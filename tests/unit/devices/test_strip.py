@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from palmd.config.pads import StripConfig
 from palmd.devices.pad import make_pad
 from palmd.devices.strip import FORCE_MAX, StripDecoder, encode
-from palmd.events import PadLift, PadSample
 
 BAUD = 115200
 FIRMWARE = Path(__file__).parents[3] / "tools/strip"
@@ -136,26 +135,6 @@ def strip(**values):
     driver = make_pad(2, StripConfig(kind="strip", port="a", **values))
     driver.opened(0.0)
     return driver
-
-
-def test_a_strip_goes_from_bytes_to_events():
-    driver = strip()
-    (sample,) = driver.feed(encode(5460, 250, 0), 1.0)
-    assert isinstance(sample, PadSample)
-    assert (sample.pad, sample.s, sample.force) == (2, pytest.approx(2.5e-3 + 5460 / 273.05e3), pytest.approx(0.5))
-    assert driver.touching
-    (lift,) = driver.feed(encode(0, 0, 1, touched=False), 1.01)
-    assert isinstance(lift, PadLift)
-    assert (driver.touching, driver.touch_end) == (False, "lifted")
-    assert list(driver.poll(5.0)) == []
-
-
-def test_a_strip_that_falls_silent_while_touched_is_told():
-    driver = strip()
-    driver.feed(encode(5460, 250, 0), 1.0)
-    assert list(driver.poll(1.05)) == []
-    assert len(driver.poll(1.14)) == 1
-    assert driver.touch_end == "silent"
 
 
 def test_a_force_at_its_end_of_scale_is_none():

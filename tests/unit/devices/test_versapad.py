@@ -10,16 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palmd.devices.pad import TouchTracker
-from palmd.devices.versapad import (
-    MARGIN_MM,
-    PadCalibration,
-    PadPacket,
-    PadReceiver,
-    PressureFormat,
-    VersaPadDecoder,
-    encode_packet,
-)
+from palmd.config.pads import VersaPadConfig
+from palmd.config.three_palms import PlanePadConfig
+from palmd.devices.pad import MARGIN_MM, PadDriver, TouchTracker, make_pad
+from palmd.devices.port import Port
+from palmd.devices.versapad import PadPacket, PressureFormat, VersaPadDecoder, encode_packet
 from palmd.events import PadLift, PadSample
 from palmd.rig.fault_injection import FaultInjector, order
 
@@ -33,11 +28,6 @@ GOLDEN = bytes.fromhex("c4 3b 3f 07 00 64")
 
 def packet(t: float, x_counts: int = 0, pressure: int = 50, in_use: bool = True) -> PadPacket:
     return PadPacket(t, t, x_counts, 0, pressure, in_use, False, False, False, False)
-
-
-def calibration(**changes: object) -> PadCalibration:
-    values = {"pad": 1, "zero_mm": 28.0, "counts_per_mm": 7.874, "newtons_per_count": 0.02}
-    return PadCalibration(**{**values, **changes})  # type: ignore[arg-type]
 
 
 # Codec
@@ -101,7 +91,7 @@ def test_header_in_mid_packet_starts_a_new_one() -> None:
     decoder = VersaPadDecoder(BAUD)
     assert len(decoder.feed(GOLDEN[:4] + GOLDEN, 0.0)) == 1
     assert decoder.counters.truncated == 4
-    assert decoder.counters.bytes_discarded == 4
+    assert decoder.counters.discarded == 4
 
 
 @pytest.mark.parametrize(
@@ -119,7 +109,7 @@ def test_illegal_byte_discards_the_packet_in_hand(spoilt: str, lost: int) -> Non
     decoder = VersaPadDecoder(BAUD)
     assert len(decoder.feed(bytes.fromhex(spoilt) + GOLDEN, 0.0)) == 1
     assert decoder.counters.bad_data == lost
-    assert decoder.counters.bytes_discarded == lost
+    assert decoder.counters.discarded == lost
 
 
 def test_bytes_outside_a_packet_are_bad_headers() -> None:
@@ -196,47 +186,80 @@ def test_tail_and_head_in_one_read_are_no_batch() -> None:
     assert not got.batched
 
 
-def test_times_never_run_backwards() -> None:
-    decoder = VersaPadDecoder(BAUD)
-    times = [p.t_first for _ in range(3) for p in decoder.feed(GOLDEN * 3, 1.0)]
-    assert times == sorted(times)
+# The driver
 
 
-def test_baud_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="baud"):
-        VersaPadDecoder(0)
+def pad(**values: object) -> PadDriver:
+    return make_pad(1, VersaPadConfig.model_validate({"port": "a"} | values))
 
 
-# Calibration
+def sampled(driver: PadDriver, x_counts: int, y_counts: int = 0, pressure: int = 50) -> PadSample | None:
+    """The contact in a packet of its own."""
+    (event,) = driver.feed(encode_packet(x_counts, y_counts, pressure), 1.0) or [None]
+    assert not isinstance(event, PadLift)
+    return event
 
 
 def test_counts_become_metres_and_newtons() -> None:
-    got = calibration().sample(packet(1.0, x_counts=-100, pressure=50))
-    assert got is not None
-    assert got.s == pytest.approx(0.028 - 0.1 / 7.874)
-    assert got.force == pytest.approx(1.0)
-    assert (got.t_sample, got.pad) == (1.0, 1)
+    assert sampled(pad(), -100) == PadSample(
+        1.0 - 5 * BYTE_S, 1, pytest.approx(0.028 - 0.1 / 7.874), pytest.approx(1.0)
+    )
 
 
 def test_axis_and_sign() -> None:
-    reading = PadPacket(0.0, 0.0, 99, -100, 1, True, False, False, False, False)
-    got = calibration(axis="y", sign=-1).sample(reading)
+    got = sampled(pad(axis="y", sign=-1), 99, -100)
     assert got is not None
     assert got.s == pytest.approx(0.028 + 0.1 / 7.874)
 
 
-def test_readings_off_the_pad_are_none() -> None:
-    scale = calibration(zero_mm=0.0, counts_per_mm=10.0, length_mm=50.0)
-    assert scale.sample(packet(0.0, x_counts=0)) is None
-    assert scale.sample(packet(0.0, x_counts=1)) is not None
-    assert scale.sample(packet(0.0, x_counts=round((50 + MARGIN_MM) * 10))) is not None
-    assert scale.sample(packet(0.0, x_counts=round((50 + MARGIN_MM) * 10) + 1)) is None
+def test_readings_off_the_pad_are_no_contacts_and_counted() -> None:
+    driver = pad(zero_mm=0.0, counts_per_mm=10.0, length_mm=50.0)
+    farthest = round((50 + MARGIN_MM) * 10)
+    found = [sampled(driver, counts) is not None for counts in (0, 1, farthest, farthest + 1)]
+    assert found == [False, True, True, False]
+    assert driver.counts()["out_of_range"] == 2
+
+
+def test_a_pad_that_reads_both_coordinates_tells_where_across() -> None:
+    driver = make_pad(1, PlanePadConfig(port="a", counts_per_mm=10.0, length_mm=75.0, across_sign=-1))
+    got = sampled(driver, 0, 100)
+    assert got is not None
+    assert got.across == pytest.approx(0.0275) == driver.view(1.0).across
+    assert sampled(driver, 0, 390) is None, "beyond its edge"
 
 
 def test_saturated_pressure_is_no_force() -> None:
-    got = calibration().sample(packet(0.0, pressure=127))
+    got = sampled(pad(), 0, pressure=127)
     assert got is not None
-    assert got.force is None
+    assert (got.force, got.at_least) == (None, pytest.approx(2.54))
+
+
+def test_garbage_is_told_at_the_next_look_and_only_then() -> None:
+    driver = pad()
+    driver.feed(b"\x3f" * 100, 1.0)
+    assert [list(driver.health(refresh)) for refresh in (False, True, False)] == [[], ["garbled"], ["garbled"]]
+    assert "100 bytes, but no report among them at 9600 baud" in (driver.diagnosis or "")
+    assert list(driver.health(True)) == []
+
+
+class FakePort(Port):
+    def __init__(self) -> None:
+        self.breaks: list[bool] = []
+
+    def set_break(self, active: bool) -> None:
+        self.breaks.append(active)
+
+
+def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer() -> None:
+    driver, port = pad(handshake="break"), FakePort()
+    driver.opened(0.0)
+    for i in range(200):
+        driver.reports(b"", 0.01 * i)
+        driver.tend(port, 0.0)
+    assert port.breaks == [True, False]
+    assert not driver.starting
+    assert "no identity" in (driver.diagnosis or "")
+    assert list(driver.health(False)) == ["handshake"]
 
 
 # Lift-off
@@ -273,28 +296,6 @@ def test_mean_interval_stays_within_what_the_line_can_do() -> None:
     for _ in range(100):
         touch.report(packet(1000.0))
     assert touch.mean_interval_s == pytest.approx(6 * BYTE_S)
-
-
-def test_untouched_pad_never_lifts() -> None:
-    assert TouchTracker(1, PACKET_S).poll(1e6) is None
-
-
-# The whole receiver
-
-
-def test_receiver_gives_samples_and_lift() -> None:
-    pad = PadReceiver(calibration(), BAUD)
-    events = pad.feed(encode_packet(0, 0, 10) + encode_packet(0, 0, 0, in_use=False), 1.0)
-    assert [type(event) for event in events] == [PadSample, PadLift]
-    assert pad.feed(encode_packet(0, 0, 0, in_use=False), 1.1) == []
-
-
-def test_receiver_counts_what_is_off_the_pad() -> None:
-    pad = PadReceiver(calibration(), BAUD)
-    assert pad.feed(encode_packet(2000, 0, 10), 1.0) == []
-    assert pad.counters.out_of_range == 1
-    assert pad.latest is not None
-    assert isinstance(pad.poll(2.0), PadLift)
 
 
 def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]:
@@ -344,56 +345,60 @@ def test_no_pause_of_a_pad_that_reports_in_bands_is_taken_for_its_end(adapter_s:
         t, heard = t + max(PACKET_S, band * PACKET_S + rng.gauss(0.0, 0.002)), ended
 
 
-def touched() -> PadReceiver:
-    pad = PadReceiver(calibration(), BAUD)
+def touched() -> PadDriver:
+    driver = pad()
     for number in range(20):
-        pad.feed(encode_packet(number, 0, 10), 1.0 + number * 0.01)
-    assert pad.touch.touching
-    return pad
+        driver.feed(encode_packet(number, 0, 10), 1.0 + number * 0.01)
+    assert driver.touching
+    return driver
+
+
+def is_foreign(driver: PadDriver) -> bool:
+    return "no pad's" in driver.evidence("silent", 1.0)
 
 
 def test_another_device_is_told_before_five_intervals_have_gone() -> None:
     rng, packets = random.Random(3), []
     for _ in range(200):
-        pad, t, heard = touched(), 1.2, 0
-        while not pad.decoder.foreign:
-            assert pad.poll(t) is None or heard > 4
-            pad.feed(rng.randbytes(6), t := t + 0.009)
+        driver, t, heard = touched(), 1.2, 0
+        while not is_foreign(driver):
+            assert not driver.poll(t) or heard > 4
+            driver.feed(rng.randbytes(6), t := t + 0.009)
             heard += 1
         packets.append(heard)
-        assert heard > 4 or pad.poll(t) == PadLift(t, 1)
+        assert heard > 4 or driver.poll(t) == [PadLift(t, 1)]
     assert statistics.mean(packets) < 2.2
     assert sum(each > 3 for each in packets) < 0.1 * len(packets)
 
 
 def test_what_another_device_says_ends_the_touch_once_and_a_packet_begins_it_again() -> None:
-    pad = touched()
-    pad.feed(bytes((0x91, 0x83, 0xF2, 0xA0)), 1.2)
-    assert pad.poll(1.2) == PadLift(1.2, 1)
-    assert pad.poll(1.3) is None
-    pad.feed(encode_packet(0, 0, 10), 1.31)
-    assert not pad.decoder.foreign
-    assert pad.touch.touching
+    driver = touched()
+    driver.feed(bytes((0x91, 0x83, 0xF2, 0xA0)), 1.2)
+    assert driver.poll(1.2) == [PadLift(1.2, 1)]
+    assert driver.poll(1.3) == []
+    driver.feed(encode_packet(0, 0, 10), 1.31)
+    assert not is_foreign(driver)
+    assert driver.touching
 
 
 def test_a_pad_that_is_damaged_is_seldom_taken_for_another_device() -> None:
     """A fifth of its bytes flipped, doubled or made up, and heavy pressure, which looks strangest."""
-    line, rng, pad = FaultInjector(), np.random.default_rng(5), touched()
+    line, rng, decoder = FaultInjector(), np.random.default_rng(5), VersaPadDecoder(BAUD)
     line.add(order("garble", 0.0, "pad1", 0.2))
     line.update(0.0)
     alarms = 0
     for number in range(6000):
-        pad.feed(line.corrupt("pad1", encode_packet(number % 200, -number % 200, 70 + number % 50), rng), number * 0.01)
-        alarms += pad.decoder.foreign
+        raw = encode_packet(number % 200, -number % 200, 70 + number % 50)
+        decoder.feed(line.corrupt("pad1", raw, rng), number * 0.01)
+        alarms += decoder.foreign
     assert alarms <= 2  # in a minute
 
 
 def test_a_new_beginning_forgets_what_was_strange() -> None:
-    pad = touched()
-    pad.feed(bytes((0x91, 0x83, 0xF2)), 1.2)
-    assert not pad.decoder.foreign
-    pad.decoder.reset()
-    pad.feed(bytes((0x91, 0x83, 0xF2)), 1.21)
-    assert not pad.decoder.foreign
-    pad.feed(bytes((0x91,)), 1.22)
-    assert pad.decoder.foreign
+    decoder = VersaPadDecoder(BAUD)
+    for t, foreign in ((1.2, False), (1.21, False)):
+        decoder.feed(bytes((0x91, 0x83, 0xF2)), t)
+        assert decoder.foreign is foreign
+        decoder.reset()
+    decoder.feed(bytes((0x91, 0x83, 0xF2, 0x91)), 1.22)
+    assert decoder.foreign

@@ -10,7 +10,7 @@ import pytest
 
 from palmd.daemon.statistics import LoopStatistics
 from palmd.doctor import load, wakeups
-from palmd.doctor.lateness import Case, TickLateness, percentiles, table
+from palmd.doctor.lateness import Case, TickLateness, branches, lines, percentiles, table
 
 
 def test_each_tick_is_counted_once_and_none_is_left_out():
@@ -100,3 +100,38 @@ def test_the_timer_reports_whether_it_had_the_priority(tmp_path):
     told = json.loads(report.read_text())
     assert isinstance(told["fifo"], bool)
     assert len(told["lateness_ms"]) == 3
+
+
+# What should be changed
+
+GOOD, LATE = [0.1] * 100, [5.0] * 100
+
+
+def changes(*cases):
+    return [each.change for each in branches(cases) if each.change]
+
+
+def test_a_punctual_machine_needs_no_change():
+    cases = [Case(name, GOOD, 0, GOOD) for name in ("idle", "every core busy", "disk busy")]
+    assert changes(*cases) == []
+    assert lines(tuple(branches(cases)))[-1].endswith("nothing to change")
+
+
+def test_an_idle_machine_that_wakes_late_ends_the_questions():
+    (change,) = changes(Case("idle", LATE, 3, LATE), Case("disk busy", LATE, 3, LATE))
+    assert "PREEMPT_RT" in change
+
+
+def test_late_ticks_on_a_machine_that_wakes_in_time_are_a_matter_of_priority():
+    (change,) = changes(Case("idle", LATE, 3, GOOD), Case("disk busy", LATE, 3, GOOD))
+    assert "priority" in change
+
+
+@pytest.mark.parametrize(
+    ("busy", "words"),
+    [("every core busy", "isolcpus"), ("disk busy", "another disk"), ("network busy", "interrupts"),
+     ("recorder and page", "another machine")],
+)  # fmt: skip
+def test_each_kind_of_load_has_its_change(busy, words):
+    (change,) = changes(Case("idle", GOOD, 0, GOOD), Case(busy, LATE, 9, GOOD))
+    assert words in change

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from palmd.config.vibration import VibrationConfig
-from palmd.devices.armhost import ArmHost
+from palmd.devices.actuator import make_actuator
 from palmd.devices.armlink import ArmState, Pose
-from palmd.devices.versapad import PadCalibration, PadReceiver
+from palmd.devices.pad import make_pad
 from palmd.events import PadLift, PadSample
 from palmd.rig.adept_arm import arm_limits
 from palmd.rig.arm import Linkage
@@ -27,11 +27,8 @@ class Loop:
 
     def __init__(self, seed=1, *, rocking=True, config=CONFIG, **options):
         self.world = World(config, seed, t=100.0, **options)
-        self.host = ArmHost(config.arm.baud)
-        self.pads = [
-            PadReceiver(PadCalibration(number, 28.0, 7.874, 0.02), 9600)  # as the default configuration says
-            for number in (1, 2)
-        ]
+        self.host = make_actuator(config.arm)
+        self.pads = [make_pad(number, CONFIG.pads.of(number)) for number in (1, 2)]
         self.rocking = rocking
         self.asked = False
         self.t_tracking = math.inf
@@ -176,7 +173,7 @@ def test_a_home_outside_the_limits_is_moved_inside():
 def test_a_silent_host_makes_the_arm_hold_and_give_up():
     loop = Loop().run(1.0)
     world, t = loop.world, loop.world.t
-    loop.host = ArmHost(38400)
+    loop.host = make_actuator(CONFIG.arm)
     world.advance(t + 0.1)
     assert world.status()["arm_state"] == "H"
     world.advance(t + 0.3)
@@ -244,7 +241,7 @@ def test_spoilt_bytes_reach_both_ends(name):
     loop = Loop().run(0.5)
     loop.mischief(name)
     loop.run(1.0)
-    assert loop.pads[0].counters.bytes_discarded > 5
+    assert loop.pads[0].counts()["bytes_discarded"] > 5
     controller, host = loop.world.status(), loop.host.counters.line
     if name == "misbaud":
         assert controller["arm_state"] == "F"
@@ -273,7 +270,7 @@ def test_late_and_burst_shift_bytes_in_time():
         arrivals.append([e.t_sample for e in loop.events if isinstance(e, PadSample) and e.pad == 1])
     shift = arrivals[1][50] - arrivals[0][50]
     assert shift == pytest.approx(0.1, abs=2e-3)
-    assert loop.pads[0].counters.batches > 10
+    assert loop.pads[0].counts()["batches"] > 10
 
 
 def test_a_finger_pulls_the_reading_towards_itself():

@@ -6,6 +6,6 @@ from functools import partial
 
 from palmd.devices.actuator import ActuatorFactory
 from palmd.devices.feetech import MAKE
-from palmd.devices.servoactuator import ServoActuator
+from palmd.devices.servohost import ServoHost
 
-DRIVER: ActuatorFactory = partial(ServoActuator, make=MAKE)
+DRIVER: ActuatorFactory = partial(ServoHost, make=MAKE)

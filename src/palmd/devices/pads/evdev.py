@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Mapping
 
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import LIST_COMMAND, EvdevPort, query_device
-from palmd.devices.health import ErrorShares, Limits, last_report
-from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, counts_to_mm
+from palmd.devices.health import Limits
+from palmd.devices.pad import (
+    HostLine,
+    InspectedPad,
+    PadDriver,
+    PadFactory,
+    PadRemark,
+    PadReport,
+    TouchEnd,
+    position_mm,
+)
 from palmd.devices.touchdevice import unsupported
 from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
 from palmd.events import PadLift, PadSample
-from palmd.messages import PadView
 
 REPEAT_S = 0.030
 """A contact at rest is not reported; after this silence (s) its last sample is repeated, with this period."""
@@ -28,26 +35,25 @@ SILENT_TURN_RAD, SILENT_TURN_S = math.radians(6.0), 0.15
 HEALTH_LIMITS: Limits = {"out-of-range": (0.2, 10, "frames"), "foreign-clock": (0.2, 10, "frames")}
 
 
-class Evdev:
-    """One input device; see `PadDriver`."""
-
-    starting = False
+class Evdev(PadDriver):
+    """`PadDriver` of one input device."""
 
     def __init__(self, number: int, config: EvdevConfig) -> None:
         """Create the driver; nothing is opened yet."""
-        self.is_open = False
-        self.touching = False
-        self.touch_end: Literal["lifted", "silent"] | None = None
-        self._number, self._config = number, config
+        super().__init__(number, HEALTH_LIMITS)
+        self._config = config
+        self._touching = False
         self._reader = EvdevReader(needed=(config.axis,))
         self._port: EvdevPort | None = None
         self._units = Units(config, None)
-        self._latest: PadReport | None = None
-        self._sample: PadSample | None = None
         self._t_polled = self._t_overflow = math.inf
         self._turned = 0.0  # turn of the palms since the device's last report (rad)
         self._state_reports: list[PadReport] = []  # reports from the device's state, when it was last read
-        self._error_shares = ErrorShares(HEALTH_LIMITS)
+
+    @property
+    def touching(self) -> bool:
+        """See `PadDriver`."""
+        return self._touching
 
     @property
     def diagnosis(self) -> str | None:
@@ -69,9 +75,9 @@ class Evdev:
         self._port = EvdevPort(f"pad{self._number}", self._config.port, axis=self._config.axis)
         return self._port
 
-    def opened(self, t: float) -> None:  # noqa: ARG002
+    def opened(self, t: float) -> None:
         """Handle the opening of the device; its state is read next, since it may be touched already."""
-        self.is_open = True
+        super().opened(t)
         self._reader.forget()
         device = None if self._port is None else self._port.device
         self._units = Units(self._config, device)
@@ -94,7 +100,7 @@ class Evdev:
             self._state_reports += self._reader.restore(state)
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """Return the events in the bytes read at `t` (s)."""
+        """See `PadDriver`."""
         dropped = self._reader.counters.dropped
         reports = self._reader.feed(data, t)
         if self._reader.counters.dropped > dropped and not reports:
@@ -110,7 +116,7 @@ class Evdev:
             if not report.in_use:
                 events += self._end_touch(report.t_first, "lifted")
             elif (sample := self._calibrated(report)) is not None:
-                self.touching, self.touch_end, self._sample = True, None, sample
+                self._touching, self.touch_end, self._sample = True, None, sample
                 events.append(sample)
         return events
 
@@ -137,42 +143,20 @@ class Evdev:
         state, self._state_reports = self._state_reports, []
         return [*state, *self._reader.feed(data, t)]
 
-    def view(self, t: float) -> PadView:
-        """Return what is published of the pad at `t` (s)."""
-        latest, sample = self._latest, self._sample
-        if latest is None:
-            return PadView()
-        s = sample.s if sample is not None and self.touching else math.nan
-        return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
+    def _errors(self) -> Mapping[str, tuple[int, int]]:
+        counters = self._reader.counters
+        return {
+            "out-of-range": (counters.frames, counters.out_of_range),
+            "foreign-clock": (counters.frames, counters.foreign_clock),
+        }
 
-    def health(self, refresh: bool) -> Iterator[str]:
-        """Yield the active fault conditions, without the pad's name."""
-        if refresh:
-            counters = self._reader.counters
-            self._error_shares.update(
-                {
-                    "out-of-range": (counters.frames, counters.out_of_range),
-                    "foreign-clock": (counters.frames, counters.foreign_clock),
-                }
-            )
-        yield from self._error_shares
-
-    def evidence(self, condition: str, t: float) -> str:
-        """Return the measurements behind a condition at `t` (s)."""
-        last = last_report(None if self._latest is None else self._latest.t_first, t)
-        match condition:
-            case "silent":
-                if self._turned > SILENT_TURN_RAD:
-                    return f"{last}, and the palms have turned by {math.degrees(self._turned):.0f}° since"
-                return f"{last}; then the device was lost, or the kernel dropped its events"
-            case "lifted":
-                return f"{last} and reports the lift-off"
-            case "untouched":
-                return last
-        return self._error_shares.text(condition)
+    def _silence(self, last: str) -> str:
+        if self._turned > SILENT_TURN_RAD:
+            return f"{last}, and the palms have turned by {math.degrees(self._turned):.0f}° since"
+        return f"{last}; then the device was lost, or the kernel dropped its events"
 
     def counts(self) -> dict[str, int]:
-        """All counters since the start, by name."""
+        """See `PadDriver`."""
         return self._reader.counters.as_dict()
 
     def _calibrated(self, report: PadReport) -> PadSample | None:
@@ -180,18 +164,18 @@ class Evdev:
         if units.missing is not None:
             return None
         counts = report.x_counts if config.axis == "x" else report.y_counts
-        s_mm = counts_to_mm(units, counts)
-        if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
+        s_mm = position_mm(units, counts)
+        if s_mm is None:
             self._reader.counters.out_of_range += 1
             return None
         gain = units.newtons_per_count
         force = report.pressure * gain if config.pressure and gain is not None else None
         return PadSample(report.t_first, self._number, s_mm * 1e-3, force)
 
-    def _end_touch(self, t: float, how: Literal["lifted", "silent"]) -> list[PadLift]:
+    def _end_touch(self, t: float, how: TouchEnd) -> list[PadLift]:
         if not self.touching:
             return []
-        self.touching, self._sample, self.touch_end = False, None, how
+        self._touching, self._sample, self.touch_end = False, None, how
         return [PadLift(t, self._number)]
 
 

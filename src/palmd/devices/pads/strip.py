@@ -25,9 +25,6 @@ class Strip(SerialPad[StripPacket, StripCounters]):
             return f"{self._counters.discarded} bytes, but no report among them: check that it has palmd's firmware"
         return None
 
-    def _has_position(self, report: StripPacket) -> bool:  # noqa: ARG002
-        return True
-
     def _is_saturated(self, report: StripPacket) -> bool:
         return report.saturated or report.pressure >= FORCE_MAX
 

@@ -18,8 +18,8 @@ import numpy as np
 from palmd.config.arms import DynamixelConfig, ServoConfig
 from palmd.config.two_palms import Config
 from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import BROADCAST, HardwareError, Instruction, packet_reader
-from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader, Register
+from palmd.devices.dynamixel import HardwareError, packet_reader
+from palmd.devices.servobus import BROADCAST, COUNTS_PER_TURN, Instruction, Packet, PacketReader, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Transmission
 from palmd.rig.servokinds import dynamixel_table as servotable

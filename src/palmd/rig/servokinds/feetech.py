@@ -18,8 +18,8 @@ import numpy as np
 from palmd.config.arms import FeetechConfig, ServoConfig
 from palmd.config.two_palms import Config
 from palmd.devices import feetech as sts
-from palmd.devices.feetech import BROADCAST, FeetechError, FeetechInstruction, packet_reader
-from palmd.devices.servobus import Packet, PacketReader, Register
+from palmd.devices.feetech import FeetechError, packet_reader
+from palmd.devices.servobus import BROADCAST, Instruction, Packet, PacketReader, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Transmission
 from palmd.rig.servos import (
@@ -180,10 +180,10 @@ class FeetechArm(ServoArm[FeetechServo]):
         listening = {servo.id: servo for servo in self._servos if servo.is_listening(self._code, t)}
         data = packet.parameters
         match packet.instruction:
-            case FeetechInstruction.SYNC_WRITE if len(data) >= 2:
+            case Instruction.SYNC_WRITE if len(data) >= 2:
                 self._write_each(listening, data, t)
                 return []
-            case FeetechInstruction.SYNC_READ if len(data) >= 2:
+            case Instruction.SYNC_READ if len(data) >= 2:
                 return self._read_each(listening, data[0], data[1], data[2:], t)
         transmissions = []
         for servo in [each for each in listening.values() if packet.servo in (each.id, BROADCAST)]:
@@ -196,11 +196,11 @@ class FeetechArm(ServoArm[FeetechServo]):
         """Execute an instruction; returns the answer, None if it is not answered."""
         data, out, always = packet.parameters, b"", False
         match packet.instruction:
-            case FeetechInstruction.PING:
+            case Instruction.PING:
                 always = True
-            case FeetechInstruction.READ if len(data) == 2:
+            case Instruction.READ if len(data) == 2:
                 out, always = servo.read(data[0], data[1], t), True
-            case FeetechInstruction.WRITE if len(data) > 1:
+            case Instruction.WRITE if len(data) > 1:
                 servo.write(data[0], data[1:], t)
             case _:
                 return None
