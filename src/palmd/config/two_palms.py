@@ -32,7 +32,7 @@ from palmd.config.plans import (
     SwingFrequency,
     one_key_of,
 )
-from palmd.config.tabletop import TABLETOP
+from palmd.config.tabletop import PALM_LENGTH_MM
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.events import ObserverName
 from palmd.system.description import RigDescription
@@ -121,7 +121,7 @@ class RigConfig(Strict):
         """Use the tabletop rig's palm lengths as defaults for a fixed hinge."""
         if not (isinstance(values, dict) and values.get("hinge") == "fixed"):
             return values
-        return {f"palm{palm}_length_mm": TABLETOP.palm_length for palm in PALMS} | values
+        return {f"palm{palm}_length_mm": PALM_LENGTH_MM for palm in PALMS} | values
 
     @property
     def palm_lengths_mm(self) -> tuple[float, ...]:
