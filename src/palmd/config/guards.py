@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Protocol
 
-from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
+from pydantic import AfterValidator, Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
 from palmd.config.fields import Plausible, Positive, Strict
 
@@ -70,12 +70,17 @@ ForceLimits = Annotated[
 """One limit for all pads, or one for each."""
 
 
-def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
-    """Return the limits; raises ValueError if they name an unknown pad."""
-    names = [*names]
-    if isinstance(limits, dict) and (unknown := [name for name in limits if name not in names]):
-        raise ValueError(f"unknown pad {unknown[0]}: use {', '.join(names[:-1])} or {names[-1]}, or one number for all")
-    return limits
+def of_palms(palms: Iterable[int]) -> AfterValidator:
+    """Limits may name only the pads of these palms."""
+    names = [f"palm{palm}" for palm in palms]
+
+    def check(limits: float | PadForces | None) -> float | PadForces | None:
+        if isinstance(limits, dict) and (unknown := [name for name in limits if name not in names]):
+            known = f"{', '.join(names[:-1])} or {names[-1]}"
+            raise ValueError(f"unknown pad {unknown[0]}: use {known}, or one number for all")
+        return limits
+
+    return AfterValidator(check)
 
 
 class _HasFullScale(Protocol):

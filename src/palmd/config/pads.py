@@ -19,7 +19,7 @@ from pydantic import (
     model_serializer,
 )
 
-from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
+from palmd.config.fields import AnyBaud, Baud, NotNegative, Pair, Plausible, PortPath, Positive, Strict, by_kind, one_of
 from palmd.config.tabletop import STRIP_COUNTS_PER_MM, STRIP_LENGTH_MM, STRIP_START_MM
 from palmd.system.corrections import STEEPEST, corrections, fault_of
 from palmd.system.description import PadSensor
@@ -38,7 +38,6 @@ class PressureConfig(Strict):
     """Whether the number decreases with the force."""
 
 
-_Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]
 _CORRECTIONS_PER_MM = 4.0  # (derivation: linear interpolation errs by 1/500 of the amplitude of a 12 mm wave)
 
 
@@ -64,7 +63,7 @@ class PadBase(Strict):
     """Distance of the pad's far end from the hinge."""
     curve_mm: Annotated[tuple[FiniteFloat, ...], Field(strict=False, max_length=64)] = ()
     """Corrections of the reading at evenly spaced positions from hinge to pad's end, two or more; empty: none."""
-    map: Annotated[tuple[_Pair, ...], Field(strict=False, max_length=256)] = ()
+    map: Annotated[tuple[Pair, ...], Field(strict=False, max_length=256)] = ()
     """Corrections of the reading: pairs of a distance from the hinge and a correction [mm], interpolated by a cubic."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
     """Standard deviation of a position, without its rounding."""

@@ -20,7 +20,7 @@ from pydantic import (
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
-from palmd.config.guards import ForceLimits, PadForces, PalmFollowingError, known_pads
+from palmd.config.guards import ForceLimits, PalmFollowingError, of_palms
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -163,13 +163,8 @@ class LimitsConfig(Strict):
     """Deceleration of each palm angle when the motion is held, at most the arm's own limit, which is the default."""
     following_error: PalmFollowingError = PalmFollowingError()
     """Largest distance of the arm from its delayed set-point; beyond it the arm is stopped."""
-    force_n: ForceLimits | None = None
+    force_n: Annotated[ForceLimits | None, of_palms(PALMS)] = None
     """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
-
-    @field_validator("force_n")
-    @classmethod
-    def _own_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
-        return known_pads(force_n, (f"palm{palm}" for palm in PALMS))
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:
