@@ -366,8 +366,8 @@ class Core:
         (state, since, cause), supervisor = self._state_entered, self.supervisor
         explored, control = self.exploring.explored, supervisor.control.name
         return state_fields(
-            str(state), self.faults.active, cause, supervisor.requested_state, t - since, self.setpoints.running, explored,
-            control, supervisor.unattended,
+            str(state), self.faults.active, cause, supervisor.requested_state, t - since, self.setpoints.running,
+            explored, control, supervisor.unattended,
         )  # fmt: skip
 
     def _note_state_entry(self, t: float) -> None:

@@ -127,8 +127,8 @@ def unpacked(fields: list[Any]) -> Event:
 def work(
     address: str,
     add: Callable[..., None],
-    answer: Callable[[], Answer | None],
-    pack: Callable[[Answer], list[Any]],
+    answer: Callable[[], Any],
+    pack: Callable[[Any], list[Any]],
     period_s: Callable[[], float],
 ) -> None:
     """Main loop of a process, endless: `add` what arrives, send the `answer` at most every `period_s`."""
