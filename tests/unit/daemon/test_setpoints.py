@@ -227,13 +227,6 @@ def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
     assert drive.setpoints.violated
 
 
-def test_whether_a_plan_is_under_way_is_yes_or_no():
-    drive = Drive()
-    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.held) == (False, False, False)
-    drive.setpoints.start(trajectory())
-    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.over) == (True, True, False)
-
-
 def test_after_leaving_there_is_no_target():
     drive = Drive()
     drive.setpoints.start(trajectory())
