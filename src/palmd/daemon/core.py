@@ -327,7 +327,7 @@ class Core:
             (system.topics.estimate, system.estimate_fields(self._estimate)),
             (system.topics.contact, contact_fields(pads, age if math.isfinite(age) else math.nan, system.naming)),
             (system.topics.motion, motion),
-            (system.topics.events, system.events_fields(t, self._fed_events)),
+            (system.topics.events, system.codec.events_fields(t, self._fed_events)),
         ]
         if self._answer is not None:
             messages.append(self._system.answer_message(t, self._answer))

@@ -287,7 +287,7 @@ class Supervisor:
             "log": log_fields(self._journal.entries[-STATUS_LOG_ENTRIES:]),
         }
         if self.estimate is not None:
-            status["estimate"] = self._system.estimate_summary(self.estimate)
+            status["estimate"] = self._system.codec.estimate_summary(self.estimate)
         if self._arm.actual is not None:
             status |= dict(zip(self._system.joints, self._arm.actual.angles, strict=True))
         optional = {"explored": explored, "recorder": recorder}
