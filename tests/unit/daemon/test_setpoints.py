@@ -63,16 +63,6 @@ def test_stands_where_the_arm_is():
     assert all(motion.angles[0] == pytest.approx(HERE.angles[0]) for motion in Drive().go(0.2))
 
 
-def test_runs_a_plan_to_its_end():
-    drive = Drive()
-    drive.setpoints.start(trajectory())
-    assert drive.setpoints.moving
-    motions = drive.go(3.0)
-    assert math.degrees(motions[-1].angles[0]) == pytest.approx(60.0)
-    assert not drive.setpoints.moving
-    assert drive.setpoints.interventions == 0
-
-
 def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
     drive = Drive()
     drive.setpoints.start(trajectory())
@@ -82,19 +72,6 @@ def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
     monkeypatch.setattr(drive.setpoints._executor, "advance", lambda _t: outside)
     drive.go(CYCLE)
     assert drive.setpoints.violated
-
-
-def test_hold_waits_and_resume_goes_on():
-    drive = Drive()
-    drive.setpoints.start(trajectory())
-    drive.go(0.4)
-    drive.setpoints.hold()
-    drive.go(0.3)
-    a, *_, b = drive.go(0.2)
-    assert a.angles[0] == b.angles[0]
-    assert drive.setpoints.held
-    drive.setpoints.resume()
-    assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_a_freeze_ends_by_itself_but_not_under_a_hold():
