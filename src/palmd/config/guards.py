@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, Protocol
 
-from pydantic import AfterValidator, Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
+from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
 from palmd.config.fields import Plausible, Positive, Strict
 
@@ -70,8 +70,8 @@ ForceLimits = Annotated[
 """One limit for all pads, or one for each."""
 
 
-def of_palms(palms: Iterable[int]) -> AfterValidator:
-    """Limits may name only the pads of these palms."""
+def only_palms(palms: Iterable[int]) -> Callable[[float | PadForces | None], float | PadForces | None]:
+    """Validator of limits that may name only the pads of these palms."""
     names = [f"palm{palm}" for palm in palms]
 
     def check(limits: float | PadForces | None) -> float | PadForces | None:
@@ -80,7 +80,7 @@ def of_palms(palms: Iterable[int]) -> AfterValidator:
             raise ValueError(f"unknown pad {unknown[0]}: use {known}, or one number for all")
         return limits
 
-    return AfterValidator(check)
+    return check
 
 
 class _HasFullScale(Protocol):

@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
-from palmd.config.guards import ForceLimits, JointFollowingError, of_palms
+from palmd.config.guards import ForceLimits, JointFollowingError, only_palms
 from palmd.config.pads import AnyPads, VersaPadConfig
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -110,8 +110,10 @@ class ThreePalmsLimitsConfig(Strict):
     """Deceleration of each joint when the motion is held; larger ones make the body leave the palms."""
     following_error: JointFollowingError = JointFollowingError()
     """Largest distance of the joints from their delayed set-points; beyond it the arm is stopped."""
-    force_n: Annotated[ForceLimits | None, of_palms(PALMS)] = None
+    force_n: ForceLimits | None = None
     """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
+
+    _own_pads = field_validator("force_n")(only_palms(PALMS))
 
     @property
     def ranges_deg(self) -> tuple[tuple[float, float], ...]:

@@ -20,7 +20,7 @@ from pydantic import (
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
-from palmd.config.guards import ForceLimits, PalmFollowingError, of_palms
+from palmd.config.guards import ForceLimits, PalmFollowingError, only_palms
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -163,8 +163,10 @@ class LimitsConfig(Strict):
     """Deceleration of each palm angle when the motion is held, at most the arm's own limit, which is the default."""
     following_error: PalmFollowingError = PalmFollowingError()
     """Largest distance of the arm from its delayed set-point; beyond it the arm is stopped."""
-    force_n: Annotated[ForceLimits | None, of_palms(PALMS)] = None
+    force_n: ForceLimits | None = None
     """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
+
+    _own_pads = field_validator("force_n")(only_palms(PALMS))
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:
