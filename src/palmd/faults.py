@@ -45,365 +45,299 @@ class Fault:
     clears: Clearer = "itself"
 
 
+def _note(code: str, text: str, hint: str, debounce_s: float = 0.0) -> Fault:
+    return Fault(code, Severity.NOTE, text, hint, debounce_s)
+
+
+def _degrade(code: str, text: str, hint: str, debounce_s: float = 0.0) -> Fault:
+    return Fault(code, Severity.DEGRADE, text, hint, debounce_s)
+
+
+def _hold(code: str, text: str, hint: str, debounce_s: float = 0.0) -> Fault:
+    return Fault(code, Severity.HOLD, text, hint, debounce_s)
+
+
+def _stop(
+    code: str, text: str, hint: str, debounce_s: float = 0.0, latch: Latch = "armed", clears: Clearer = "reset"
+) -> Fault:
+    return Fault(code, Severity.STOP, text, hint, debounce_s, latch, clears)
+
+
 def _pad(number: int) -> tuple[Fault, ...]:
     pad = f"pad{number}"
     return (
-        Fault(
+        _hold(
             f"{pad}-port",
-            Severity.HOLD,
             f"the serial port of pad {number} is not open",
             f"check the plug and pads.palm{number}.port in the configuration; opening is retried automatically, "
             "then start resumes",
         ),
-        Fault(
+        _hold(
             f"{pad}-silent",
-            Severity.HOLD,
             f"pad {number} fell silent while the palms moved",
             "check that the object still lies on the palm and the pad's cable is plugged in, then start resumes; "
             "stop, arm and start to move without it",
         ),
-        Fault(
+        _hold(
             f"{pad}-lifted",
-            Severity.HOLD,
             f"the object left pad {number} while the palms moved",
             "put the object back, then start resumes; stop, arm and start to move without it",
             debounce_s=0.03,
         ),
-        Fault(
+        _note(
             f"{pad}-untouched",
-            Severity.NOTE,
             f"nothing touches pad {number}",
             "put the object on the palms; if it lies there, check the pad's cable, power and baud",
             debounce_s=1.0,
         ),
-        Fault(
+        _degrade(
             f"{pad}-garbled",
-            Severity.DEGRADE,
             f"more than a fifth of pad {number}'s data are not packets",
             "check its baud against the configuration, then cable and shield",
         ),
-        Fault(
+        _degrade(
             f"{pad}-out-of-range",
-            Severity.DEGRADE,
             f"more than a fifth of pad {number}'s readings lie beyond its ends",
             "check axis, sign, zero_mm and counts_per_mm in the configuration, and that the pads are not swapped",
         ),
-        Fault(
+        _degrade(
             f"{pad}-batched",
-            Severity.DEGRADE,
             f"pad {number}'s packets arrive several at a time",
             "set its USB adapter's latency timer to 1 ms (palmd's udev rule does this)",
         ),
-        Fault(
+        _degrade(
             f"{pad}-handshake",
-            Severity.DEGRADE,
             f"pad {number} did not identify itself at start-up",
             "check the pad's power, cable and baud, or configure handshake: none",
         ),
-        Fault(
+        _degrade(
             f"{pad}-foreign-clock",
-            Severity.DEGRADE,
             f"pad {number}'s events are not stamped by this machine's monotonic clock",
             "read the device itself and not a copy of its events; until then arrival times are used",
         ),
     )
 
 
-def _servo(what: str, text: str, hint: str) -> Fault:
-    return Fault(f"arm-servo-{what}", Severity.STOP, text, hint, latch="armed", clears="reset")
-
-
 FAULTS: tuple[Fault, ...] = (
-    Fault(
+    _stop(
         "tick-error",
-        Severity.STOP,
         "an unexpected error in the control loop; the log has its traceback",
         "read the log; reset, and restart palmd if it occurs again",
         latch="always",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "estimate-not-finite",
-        Severity.STOP,
         "the observer declared an estimate valid that is not finite",
         "take the object off and put it back; reset; keep the recording, this is a defect",
         latch="always",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "limits-violated",
-        Severity.STOP,
         "the palms are outside their limits, or the motion would leave them",
         "find what moved the arm; move it back inside with the pendant, then reset",
         debounce_s=0.03,
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "following-error",
-        Severity.STOP,
         "the arm does not follow its set-points",
         "find what blocks the arm, and check its encoders; then reset, arm and start: the motion "
         "begins where the arm is",
         latch="always",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "pose-implausible",
-        Severity.STOP,
         "the arm reports an impossible pose",
         "compare the pose with where the arm is; check its encoders, its calibration and its cable, then reset",
         latch="always",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "pose-contradicts-rig",
-        Severity.STOP,
         "the pose that the arm reports is impossible for the configured rig",
         "run palmd doctor, then palmd calibrate arm: check rig.base_mm, the palms' lengths, arm.base_x_mm, base_y_mm "
         "and base_yaw_deg",
         debounce_s=0.05,
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "loop-overruns",
-        Severity.STOP,
         "the control loop keeps missing its deadline",
         "reduce the load of this machine or give palmd real-time priority, then reset",
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "arm-estop",
-        Severity.STOP,
         "the arm's emergency stop is pressed",
         "when it is safe, release it at the arm and bring the controller back to READY, then reset",
         latch="always",
         clears="operator",
     ),
-    Fault(
+    _stop(
         "arm-fault",
-        Severity.STOP,
         "the arm's controller has latched a fault",
         "look up the controller's code in status; remove the cause, then reset",
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
-        "arm-power-off",
-        Severity.STOP,
-        "arm power is off",
-        "enable power at the controller",
-        latch="armed",
-        clears="operator",
-    ),
-    Fault(
-        "arm-manual",
-        Severity.STOP,
-        "the controller is in manual mode",
-        "switch the controller to automatic",
-        latch="armed",
-        clears="operator",
-    ),
-    Fault(
-        "arm-uncalibrated",
-        Severity.STOP,
-        "the arm is not calibrated",
-        "calibrate the arm at the controller",
-        latch="armed",
-        clears="operator",
-    ),
-    Fault(
+    _stop("arm-power-off", "arm power is off", "enable power at the controller", clears="operator"),
+    _stop("arm-manual", "the controller is in manual mode", "switch the controller to automatic", clears="operator"),
+    _stop("arm-uncalibrated", "the arm is not calibrated", "calibrate the arm at the controller", clears="operator"),
+    _stop(
         "arm-port",
-        Severity.STOP,
         "the arm's serial port is not open",
         "check the plug and arm.port in the configuration; opening is retried automatically",
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "arm-link-lost",
-        Severity.STOP,
         "the arm's controller has not answered for 250 ms, or has restarted",
         "check cable, controller and its palmd program; reset when it answers again",
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _stop(
         "arm-left-tracking",
-        Severity.STOP,
         "the controller stopped following without a command",
         "find what stopped the arm at the controller, then reset",
-        latch="armed",
-        clears="reset",
     ),
-    Fault(
+    _note(
         "arm-mute",
-        Severity.NOTE,
         "the arm's controller does not answer hello",
         "start the palmd program on the controller; check cable and arm.baud",
         debounce_s=1.0,
     ),
-    Fault(
+    _degrade(
         "arm-late",
-        Severity.DEGRADE,
         "the arm has not answered for 80 ms; the motion pauses until it does",
         "if it occurs often: check the cable, and the load of this machine and of the controller",
     ),
-    Fault(
+    _degrade(
         "arm-held",
-        Severity.DEGRADE,
         "the controller got no set-point in time and stopped; the motion catches up slowly",
         "if it occurs often: reduce the load of this machine or give palmd real-time priority",
     ),
-    Fault(
+    _degrade(
         "arm-garbled",
-        Severity.DEGRADE,
         "more than a twentieth of the lines from the arm are damaged",
         "check arm.baud against the controller, then cable and shield",
     ),
-    _servo(
-        "set-up",
+    _stop(
+        "arm-servo-set-up",
         "a servo cannot be used as configured; status says which and why",
         "do what status says, then reset; palmd doctor checks every setting",
     ),
-    _servo(
-        "overload",
+    _stop(
+        "arm-servo-overload",
         "a servo was overloaded and has switched off its torque",
         "find what blocks or loads its palm, then reset restarts the servo",
     ),
-    _servo(
-        "hot", "a servo is too hot and has switched off its torque", "let it cool down, lighten the palms, then reset"
+    _stop(
+        "arm-servo-hot",
+        "a servo is too hot and has switched off its torque",
+        "let it cool down, lighten the palms, then reset",
     ),
-    _servo(
-        "voltage",
+    _stop(
+        "arm-servo-voltage",
         "a servo's supply is out of range",
         "check the power supply, its plug and the length of its cable, then reset",
     ),
-    _servo("encoder", "a servo's encoder fails", "reset; replace the servo if it occurs again"),
-    _servo("shock", "a servo's circuit reports an electrical shock", "check supply and ground, then reset"),
-    _servo(
-        "watchdog",
+    _stop("arm-servo-encoder", "a servo's encoder fails", "reset; replace the servo if it occurs again"),
+    _stop("arm-servo-shock", "a servo's circuit reports an electrical shock", "check supply and ground, then reset"),
+    _stop(
+        "arm-servo-watchdog",
         "a servo received no instruction for 100 ms and stopped",
         "reduce the load of this machine, set the adapter's latency timer to 1 ms, then reset",
     ),
-    _servo(
-        "refused",
+    _stop(
+        "arm-servo-refused",
         "a servo does not accept the goals it is sent",
         "check that no other program writes to the servos, then reset; palmd doctor compares their limits",
     ),
-    _servo(
-        "restarted",
+    _stop(
+        "arm-servo-restarted",
         "a servo has switched off its torque, or has restarted and lost its settings",
         "check its supply and cable, hold the palms, then reset",
     ),
     *(fault for number in PAD_NUMBERS for fault in _pad(number)),
-    Fault(
+    _hold(
         "force-limit",
-        Severity.HOLD,
         "a pad's force exceeds limits.force_n or the pad's range",
         "find what lies on the pads or presses on them; stop, raise a pivoting gripper with the pendant or remove the "
         "object; then arm and start",
     ),
-    Fault(
+    _stop(
         "force-excess",
-        Severity.STOP,
         "a pad's force exceeds 1.5 times limits.force_n",
         "remove the object or free the gripper, find what pressed; then reset",
         latch="always",
-        clears="reset",
     ),
-    Fault(
+    _note(
         "plan-refused",
-        Severity.NOTE,
         "the plan cannot be run; the answer to start or plan says why",
         "correct the plan, then load it with the plan command",
     ),
-    Fault(
+    _note(
         "operator-lost",
-        Severity.NOTE,
         "the client in control fell silent while the palms moved; the motion was held",
         "check the rig, then start resumes; a page or palmd ctl --keep must stay open while its motion runs",
     ),
-    Fault(
+    _degrade(
         "smoother-silent",
-        Severity.DEGRADE,
         "the smoother beside the loop does not run",
         "it is restarted automatically and needs some seconds of readings; if often, reduce the machine's load",
     ),
-    Fault(
+    _note(
         "explorer-silent",
-        Severity.NOTE,
         "no decision where the exploration goes next arrives; the palms wait",
         "it continues when the explorer answers again; reduce the load of this machine, and read the log",
     ),
-    Fault(
+    _degrade(
         "pads-swapped",
-        Severity.DEGRADE,
         "the pressures shift the wrong way between the pads as the palms turn: the pads are swapped",
         f"exchange {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)} in the configuration, or the plugs; "
         "until then no estimate is valid",
     ),
-    Fault(
+    _degrade(
         "pads-mirrored",
-        Severity.DEGRADE,
         "the contacts move the wrong way along the palms as these open: the sign of a pad is wrong",
         "invert the sign of the named pads in the configuration; until then no estimate is valid",
     ),
-    Fault(
+    _degrade(
         "estimate-lost",
-        Severity.DEGRADE,
         "the palms move and both pads touch the object, but there is no valid estimate",
         "move for some seconds with large angles; else check the rig's lengths and the pads' calibration",
         debounce_s=10.0,
     ),
-    Fault(
+    _degrade(
         "estimate-inconsistent",
-        Severity.DEGRADE,
         "the readings deviate from the model by more, or by less, than their noise explains",
         "check zero_mm, counts_per_mm, the rig's lengths and its lag; is the object rigid, the hinge tight?",
         debounce_s=2.0,
     ),
-    Fault(
+    _note(
         "rig-contradicted",
-        Severity.NOTE,
         "the readings contradict the configured rig; estimates follow the readings",
         "palm/rig, the page and palmd top show which constants are wrong and what to do",
     ),
-    Fault(
+    _degrade(
         "samples-too-late",
-        Severity.DEGRADE,
         "samples arrive too late for the observer",
         "check the latency timers of the USB adapters and the load of this machine",
     ),
-    Fault(
+    _note(
         "loop-overrun",
-        Severity.NOTE,
         "the control loop missed a deadline within the last second",
         "if it occurs often: reduce the load of this machine or give palmd real-time priority",
     ),
-    Fault(
+    _note(
         "recorder-failed",
-        Severity.NOTE,
         "the run is not being recorded: the recorder cannot write",
         "status says why: free disk space, or let palmd write to record.directory; writing is retried automatically",
     ),
-    Fault(
+    _note(
         "recorder-silent",
-        Severity.NOTE,
         "the recorder has not reported for 3 s",
         "restart it with palmd record; what it has written is safe, palmd runs recover packs it",
     ),
-    Fault(
+    _note(
         "vm-backend",
-        Severity.NOTE,
         "the models run on CasADi's virtual machine, several times slower than compiled",
         "install a C compiler (Debian: apt install gcc libc6-dev) and restart palmd",
     ),
-    Fault(
+    _note(
         "no-realtime",
-        Severity.NOTE,
         "palmd runs without real-time priority or locked memory; the log says what is missing",
         "run it as the systemd service, or give this user the rights: the log and palmd doctor show the command",
     ),

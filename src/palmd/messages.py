@@ -73,6 +73,9 @@ class MessageCodec(Protocol):
     def estimate_summary(self, estimate: Any, /) -> Fields:
         """Fields of an estimate in the status."""
 
+    def shape_fields(self, shape: ShapeEstimate, /) -> Fields:
+        """Fields of an outline."""
+
     def info_fields(self, version: str, observer: str, config: Any, plans: Iterable[str], /) -> Fields:
         """Fields about the configured rig."""
 
@@ -233,6 +236,18 @@ class AnswerCodec(Generic[Answer]):
         values = ((source, known[name], is_array) for name, source, is_array in self._columns)
         return self._construct(**{source: _array(value) if is_array else value for source, value, is_array in values})
 
+    def packed(self, answer: Answer) -> list[Any]:
+        """The answer as a list for a message between processes; arrays become bytes."""
+        values = ((getattr(answer, source), is_array) for _, source, is_array in self._columns)
+        return [np.asarray(value, np.float64).tobytes() if is_array else value for value, is_array in values]
+
+    def unpacked(self, *values: Any) -> Answer:
+        """The answer that `packed` was given."""
+        each = zip(self._columns, values, strict=True)
+        return self._construct(
+            **{source: np.frombuffer(value) if is_array else value for (_, source, is_array), value in each}
+        )
+
     def _listed(self, name: str, value: npt.NDArray[Any]) -> Any:
         flat = value.ravel()
         if self._vectors:
@@ -255,8 +270,8 @@ def _improvement(
     )
 
 
-_IMPROVEMENT = AnswerCodec(IMPROVEMENT, _improvement, absent={"rig_sd": (), "contradicted": ()})
-improvement_fields, improvement_of = _IMPROVEMENT.fields_of, _IMPROVEMENT.answer_of
+IMPROVEMENTS = AnswerCodec(IMPROVEMENT, _improvement, absent={"rig_sd": (), "contradicted": ()})
+improvement_fields, improvement_of = IMPROVEMENTS.fields_of, IMPROVEMENTS.answer_of
 """`palm/improvement`, and the inverse."""
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from palmd import polygon
 from palmd.events import FloatArray
+from palmd.score import support_at
 
 SUFFIXES = (".json", ".csv")
 H_SD_M = 5e-5  # default standard deviation: that of callipers and scanners
@@ -142,7 +143,7 @@ def _from_json(stem: str, text: str) -> Outline:
     name = content.get("name", stem)
     if not isinstance(name, str) or not name.strip():
         raise _InvalidOutlineError("name must be text")
-    whole = _resampled(h, float(theta[0]))
+    whole = support_at(h, polygon.degrees() - float(theta[0]))
     whole_sd = np.interp(polygon.degrees(), theta, h_sd, period=math.tau)
     constants = {key: _constant(content, key) for key in ("rho_m", "rho_sd_m", "mass_kg", "mass_sd_kg")}
     return _outline(
@@ -205,14 +206,6 @@ def _check_circle(theta: FloatArray) -> None:
         f"theta_rad[{wrong}] is {theta[wrong]:g}; normals must be evenly spaced over the full circle, "
         f"{len(theta)} of them {step:.6g} apart, the first not repeated"
     )
-
-
-def _resampled(h: FloatArray, start: float) -> FloatArray:
-    """Values on whole degrees from evenly spaced normals beginning at `start` (rad), by trigonometric interpolation."""
-    coefficients = np.fft.rfft(h) / len(h)
-    coefficients[1 : (len(h) + 1) // 2] *= 2.0
-    waves = np.exp(1j * np.outer(polygon.degrees() - start, np.arange(len(coefficients))))
-    return np.asarray((waves @ coefficients).real)
 
 
 # ---------------------------------------------------------------------------------------------------- points

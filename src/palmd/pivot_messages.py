@@ -45,8 +45,8 @@ def _answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
     return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
-_ANSWER = AnswerCodec(PIVOT_ANSWER, _answer_from_flat)
-answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
+ANSWERS = AnswerCodec(PIVOT_ANSWER, _answer_from_flat)
+answer_fields, answer_of = ANSWERS.fields_of, ANSWERS.answer_of
 """`palm/pivot_answer`: fields of an answer, and the answer of fields."""
 
 

@@ -315,10 +315,7 @@ STATE = Topic(
         ),
         Quantity("control", "text", "", "the client that has control of the rig; empty for none"),
         Quantity(
-            "unattended",
-            "bool",
-            "",
-            "whether a plan moves the palms while no client with a declared lease has control",
+            "unattended", "bool", "", "whether a plan moves the palms while no client with a declared lease has control"
         ),
         Quantity("since_s", "number", "s", "time in this state"),
         Quantity("running", "bool", "", "whether a plan is running; false if it is held or complete"),

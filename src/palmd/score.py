@@ -69,9 +69,9 @@ def score_outline(
 
 
 def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
-    """The support function (m) at any normals, band-limited interpolation of an even number of evenly spaced values."""
+    """The support function (m) at any normals (rad) from evenly spaced values, by band-limited interpolation."""
     coefficients = np.fft.rfft(h) / len(h)
-    coefficients[1:-1] *= 2.0
+    coefficients[1 : (len(h) + 1) // 2] *= 2.0
     waves = np.exp(1j * np.outer(theta, np.arange(len(coefficients))))
     return np.asarray((waves @ coefficients).real)
 

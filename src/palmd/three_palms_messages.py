@@ -44,7 +44,7 @@ def estimate_summary(estimate: BodyEstimate) -> Fields:
     return messages.summary_fields(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
 
 
-def shape_fields(shape: ShapeEstimate, object_count: int, valid: bool) -> Fields:
+def shape_fields(shape: ShapeEstimate, object_count: int = 0, valid: bool = False) -> Fields:
     """`palm3/shape`: a surface in all directions of the icosphere."""
     return {
         "halvings": HALVINGS,
@@ -61,15 +61,15 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm3/events`: fields of events, and events of fields."""
 
 
-def answer_from_flat(**values: Any) -> BodyAnswer:
+def _answer_from_flat(**values: Any) -> BodyAnswer:
     """Answer from values whose matrices are flat."""
     width = math.isqrt(values["covariance"].size)
     square = {"R": values["R"].reshape(-1, 3), "covariance": values["covariance"].reshape(width, width)}
     return BodyAnswer(**values | square)
 
 
-_ANSWER = AnswerCodec(PALM3_ANSWER, answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
-answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
+ANSWERS = AnswerCodec(PALM3_ANSWER, _answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
+answer_fields, answer_of = ANSWERS.fields_of, ANSWERS.answer_of
 """`palm3/answer`: fields of an answer, and the answer of fields."""
 
 

@@ -143,11 +143,7 @@ PALM3_ANSWER = Topic(
         Quantity("h_sd_m", "numbers", "m", "its 1σ", source="h_sd"),
         Quantity("touched", "numbers", "", "1 where it was touched, else 0, for each direction", source="touched"),
         Quantity(
-            "inertia_sd_m2",
-            "numbers",
-            "m²",
-            "1σ of the inertia per unit mass, row by row",
-            source="inertia_sd",
+            "inertia_sd_m2", "numbers", "m²", "1σ of the inertia per unit mass, row by row", source="inertia_sd"
         ),
         Quantity("mass_kg", "number", "kg", "mass of the object; none without force readings", source="mass"),
         Quantity("mass_sd_kg", "number", "kg", "its 1σ", source="mass_sd"),

@@ -96,22 +96,21 @@ def read_document(path: Path, text: str | None = None) -> Document:
     With `text`, that is the content and `path` only the file's name. Content that is valid but not accepted (a
     duplicate key, an alias) is kept in `problems`, so that it is reported together with the errors of the models.
     """
-    document = Document(path)
-    if text is None:
-        text = read_text(path)
-    document.text = text
+    text = read_text(path) if text is None else text
+    document = Document(path, text)
     document.problems += [
         (_place_at(text, odd.index), describe_character(odd.character))
         for odd in islice(non_ascii_characters(text), MAX_ERRORS)
         if odd.is_invisible and not odd.quoted
     ]
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
+        node = _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
         raise document.error([*document.problems, _syntax_problem(text, error)]) from None
     except yaml.reader.ReaderError as error:
-        raise document.error([*document.problems, (_place_at(text, error.position), _forbidden(error))]) from None
+        character = error.character if isinstance(error.character, str) else chr(error.character)
+        problem = _place_at(text, error.position), describe_character(character)
+        raise document.error([*document.problems, problem]) from None
     if node is None:
         raise document.error([*document.problems, (Place(), "the file is empty")])
     document.data = _Reading(document).plain(node, ())
@@ -234,18 +233,13 @@ def read_text(path: Path) -> str:
         reason = error.strerror if isinstance(error, OSError) else error
         raise document.error([(Place(), f"cannot be read: {reason}")]) from None
     if len(content) > MAX_BYTES:
-        size = f"larger than {MAX_BYTES // 1000} kB"
-        raise document.error([(Place(), f"{size}: this is not a configuration or a plan")])
+        text = f"larger than {MAX_BYTES // 1000} kB: this is not a configuration or a plan"
+        raise document.error([(Place(), text)])
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         place = _place_at(content[: error.start].decode("utf-8-sig", "replace"), error.start)
         raise document.error([(place, "not UTF-8 text; save the file as UTF-8")]) from None
-
-
-def _forbidden(error: yaml.reader.ReaderError) -> str:
-    character = error.character if isinstance(error.character, str) else chr(error.character)
-    return describe_character(character)
 
 
 def _place_at(text: str, position: int) -> Place:
@@ -318,17 +312,10 @@ class _Reading:
         self.document.texts[loc] = f'"{text}"' if quoted else text
         kind = node.tag.removeprefix("tag:yaml.org,2002:")
         try:
-            if kind == "null":
-                return None
-            if kind == "bool":
-                return self.scalars.construct_yaml_bool(node)
-            if kind == "int":
-                number = self.scalars.construct_yaml_int(node)
-                self._refuse_odd_notation(node, number)
-                return number
-            if kind == "float":
-                value = self.scalars.construct_yaml_float(node)
-                self._refuse_odd_notation(node, value)
+            if kind in ("null", "bool", "int", "float"):
+                value = getattr(self.scalars, f"construct_yaml_{kind}")(node)
+                if kind in ("int", "float"):
+                    self._refuse_odd_notation(node, value)
                 return value
             if kind in ("str", "timestamp", "value"):
                 return text
@@ -419,8 +406,11 @@ def _forms(part: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, A
         yield part
 
 
-_BOUNDS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt", "less_than_equal": "le"}
-_BOUND_WORDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+_BOUNDS = {
+    "greater_than": ("gt", "more than"), "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"), "less_than_equal": ("le", "at most"),
+    "too_short": ("min_length", "at least"), "too_long": ("max_length", "at most"),
+}  # fmt: skip
 _EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -446,15 +436,13 @@ def _in_words(document: Document, loc: Loc, detail: ErrorDetails) -> str:
         return f"must be {_EXPECTED[kind]}; got {got}{_advice(kind, value, document.texts.get(loc, ''))}"
     if kind == "finite_number":
         return f"must be a finite number; got {got}"
-    if kind in _BOUNDS:
-        bound = _BOUNDS[kind]
-        return f"must be {_BOUND_WORDS[bound]} {context[bound]:g}; got {got}"
+    bound, words = _BOUNDS.get(kind, ("", ""))
+    if kind in ("too_short", "too_long"):
+        return f"must have {words} {context[bound]} entries; got {context['actual_length'] or len(value)}"
+    if bound:
+        return f"must be {words} {context[bound]:g}; got {got}"
     if kind == "literal_error":
         return f"must be one of {context['expected'].replace(chr(39), '')}; got {got}"
-    if kind in ("too_short", "too_long"):
-        bound = "min_length" if kind == "too_short" else "max_length"
-        words = "at least" if kind == "too_short" else "at most"
-        return f"must have {words} {context[bound]} entries; got {context['actual_length'] or len(value)}"
     if kind == "string_too_short":
         return "must not be empty"
     if kind == "string_too_long":

@@ -33,7 +33,9 @@ COMMANDS = {
 }  # fmt: skip
 """Those that change something: the others are tried in `test_refused_moves_nothing`."""
 
-SYSTEM = SimpleNamespace(can_jog=True, joints=("phi1_rad", "phi2_rad"), estimate_summary=lambda _estimate: {})
+SYSTEM = SimpleNamespace(
+    can_jog=True, joints=("phi1_rad", "phi2_rad"), codec=SimpleNamespace(estimate_summary=lambda _estimate: {})
+)
 
 TICK_S, LONG_S = 0.01, 2.0
 

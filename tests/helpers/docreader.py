@@ -18,9 +18,9 @@ from waiting import wait
 from zmq.auth import create_certificates
 
 import palmd
-from palmd.config.tabletop import TABLETOP
 from palmd.console.errors import RIG_FAILED
 from palmd.model.compiled import cache_directory
+from tools.tabletop.geometry import TABLETOP
 from tools.tabletop.mjcf import mjcf
 
 PATIENCE_S = 120.0  # for one command, on a busy machine

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from palmd.config.addresses import from_here
 from palmd.config.any_config import config_hash
+from palmd.config.guards import force_limits
 from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.devices.servobus import RADIANS_PER_COUNT
 from palmd.system.vibration import AVERAGED, Vibration
@@ -106,11 +107,6 @@ def test_only_a_cradle_may_point_downwards() -> None:
         assert "only a cradle may point downwards" in text
 
 
-def test_models_are_frozen() -> None:
-    with pytest.raises(ValidationError):
-        config().rig.gravity_m_s2 = 1.0  # type: ignore[misc]
-
-
 @pytest.mark.parametrize(
     "address",
     ["tcp://127.0.0.1:9872", "tcp://127.8.9.1:1", "tcp://localhost:65535", "ipc:///run/palmd/publish"],
@@ -195,6 +191,17 @@ def test_things_that_must_differ() -> None:
         ({"limits": {"phi1_deg": [-31, 150]}}, "limits.phi1_deg"),
         ({"limits": {"phi2_deg": [35, 180]}}, "limits.phi2_deg"),
         ({"limits": {"rate_deg_s": float("inf")}}, "limits.rate_deg_s"),
+        ({"limits": {"force_n": -1.0}}, "limits.force_n"),
+        ({"limits": {"force_n": {"palm1": 0.0}}}, "limits.force_n.palm1"),
+        ({"limits": {"force_n": {"palm3": 1.0}}}, "limits.force_n"),
+        ({"limits": {"force_n": "much"}}, "limits.force_n"),
+        ({"limits": {"following_error": {"at_rest_deg": 0}}}, "limits.following_error.at_rest_deg"),
+        ({"limits": {"following_error": {"at_rest_deg": 2, "at_full_rate_deg": 1}}},
+         "limits.following_error.at_full_rate_deg"),
+        ({"limits": {"following_error": {"at_rest_mm": 9, "at_full_rate_mm": 8}}},
+         "limits.following_error.at_full_rate_mm"),
+        ({"limits": {"following_error": {"at_rest": 1}}}, "limits.following_error.at_rest"),
+        ({"limits": {"following_error": 3}}, "limits.following_error"),
         ({"arm": {"port": "/dev/c", "baud": 38401}}, "arm.baud"),
         ({"arm": {"port": ""}}, "arm.port"),
         ({"loop": {"rate_hz": 5}}, "loop.rate_hz"),
@@ -203,9 +210,18 @@ def test_things_that_must_differ() -> None:
         ({"plan": 3}, "plan"),
         ({"plans": "x"}, "plans"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: str) -> None:
     assert [fault[0] for fault in faults(**section)] == [name]
+
+
+@pytest.mark.parametrize(
+    ("force_n", "expected"),
+    [(None, (2.54, 5.0)), (1.5, (1.5, 1.5)), ({"palm2": 1.0}, (2.54, 1.0)), ({"palm1": 1.0, "palm2": 2.0}, (1.0, 2.0))],
+)
+def test_a_force_is_limited_for_all_pads_or_each_else_where_the_pad_saturates(force_n, expected) -> None:
+    limits = config(limits={} if force_n is None else {"force_n": force_n}).limits
+    assert force_limits(limits.force_n, {"palm1": 2.54, "palm2": 5.0}) == pytest.approx(expected)
 
 
 def test_a_hinge_that_the_actuator_does_not_drive_is_refused_in_one_sentence() -> None:
@@ -244,11 +260,6 @@ def test_the_kind_of_a_device_may_be_left_out_and_changes_no_hash() -> None:
     assert (left_out.pads.palm1.kind, left_out.arm.kind) == ("versapad", "adept")
     assert config_hash(told) == config_hash(left_out)
     assert "kind" not in told.model_dump()["arm"]
-
-
-def test_sign_is_not_true() -> None:
-    pads = {"palm1": {"port": "/dev/a", "sign": True}, "palm2": {"port": "/dev/b", "sign": -1}}
-    assert [name for name, _ in faults(pads=pads)] == ["pads.palm1.sign"]
 
 
 def test_hash_follows_the_effective_values_only() -> None:

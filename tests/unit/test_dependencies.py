@@ -99,26 +99,23 @@ HOLED = {"name": "pyyaml", "version": "6.0.3", "vulns": [HOLE]}
 SKIPPED = {"name": "casadi", "skip_reason": "Dependency not found on PyPI and could not be audited"}
 
 
-def judged_of(*packages: object) -> tuple[bool, list[str]]:
-    return judged(json.dumps({"dependencies": packages, "fixes": []}), "")
+NOBODY = (True, ["not audited: no answer from pypi.org"])
 
 
-def test_a_known_hole_fails_the_audit_and_says_what_mends_it() -> None:
-    assert judged_of(CLEAN) == (True, ["no known vulnerabilities"])
-    assert judged_of(CLEAN, HOLED) == (False, ["pyyaml 6.0.3: PYSEC-1, fixed in 7.0"])
-
-
-def test_an_audit_that_nobody_answered_neither_fails_nor_claims_anything() -> None:
-    for passed, lines in (judged_of(SKIPPED, SKIPPED), judged("", "…\nrequests.exceptions.ConnectionError: no\n")):
-        assert passed
-        assert [line.startswith("not audited: no answer from pypi.org") for line in lines] == [True]
-
-
-def test_a_version_that_left_the_index_and_a_broken_audit_fail() -> None:
-    passed, lines = judged_of(CLEAN, SKIPPED)
-    assert not passed
-    assert lines == ["casadi: its locked version is not on pypi.org (any more)"]
-    assert judged("", "ERROR: requirement x==1 does not contain a hash") == (
-        False,
-        ["not audited: ERROR: requirement x==1 does not contain a hash"],
-    )
+@pytest.mark.parametrize(
+    ("packages", "stderr", "expected"),
+    [
+        ((CLEAN,), "", (True, ["no known vulnerabilities"])),
+        ((CLEAN, HOLED), "", (False, ["pyyaml 6.0.3: PYSEC-1, fixed in 7.0"])),
+        ((SKIPPED, SKIPPED), "", NOBODY),
+        (None, "…\nrequests.exceptions.ConnectionError: no\n", NOBODY),
+        ((CLEAN, SKIPPED), "", (False, ["casadi: its locked version is not on pypi.org (any more)"])),
+        (None, "ERROR: requirement x==1 does not contain a hash",
+         (False, ["not audited: ERROR: requirement x==1 does not contain a hash"])),
+    ],
+)  # fmt: skip
+def test_an_audit_fails_for_a_hole_or_a_broken_answer_and_not_for_none(packages, stderr, expected) -> None:
+    passed, lines = judged("" if packages is None else json.dumps({"dependencies": packages, "fixes": []}), stderr)
+    assert passed == expected[0]
+    assert len(lines) == len(expected[1])
+    assert all(line.startswith(start) for line, start in zip(lines, expected[1], strict=True))

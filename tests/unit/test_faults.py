@@ -42,13 +42,6 @@ def test_the_table_says_what_the_manual_has_said_of_it():
     assert said == {f.code: (str(f.severity), f.debounce_s, f.latch, f.clears) for f in FAULTS}
 
 
-def test_both_pads_have_the_same_faults():
-    one, two = (
-        {fault.code.removeprefix(pad) for fault in FAULTS if fault.code.startswith(pad)} for pad in ("pad1", "pad2")
-    )
-    assert one == two != set()
-
-
 def test_fault_stands_as_long_as_its_condition():
     monitor = FaultMonitor()
     assert monitor.update({"pad1-port"}, 0.0, armed=False)

@@ -7,11 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
-from palmd.config.tabletop import TABLETOP
 from palmd.config.two_palms import LimitsConfig
 from palmd.devices.strip import POSITION_MAX
 from tools.tabletop import firmware, kit, loads
 from tools.tabletop.assembly import assembled, collisions
+from tools.tabletop.geometry import TABLETOP
 from tools.tabletop.mesh import Mesh, box, fits, inside, open_edges, overlaps, read_stl, turned
 from tools.tabletop.parts import STALL_NM, Choice, as_csv, parts_list
 

@@ -98,11 +98,6 @@ def test_too_fast_a_move_is_refused(limits):
         compile_pivot_plan(plan({"move": {"x_mm": 3}, "duration_s": 0.2}), limits, (0.05, 0.04))
 
 
-def test_an_exploration_comes_last(limits):
-    with pytest.raises(PlanError, match="must be the last segment"):
-        compile_pivot_plan(plan({"explore": {}}, {"hold_s": 1}), limits)
-
-
 def test_the_last_guard_keeps_to_ranges_and_steps(limits):
     from palmd.events import PalmMotion
 

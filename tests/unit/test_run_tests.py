@@ -1,13 +1,10 @@
 """How all tests are run: side by side, nothing left out, and a rig's that was kept waiting tried again by itself."""
 
 import importlib.util
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """\
@@ -33,18 +30,6 @@ def tool(monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def test_nothing_is_installed_while_tests_run(tool, tmp_path):
-    """Not even what is older than the list of what is needed: `palmd` would be missing for a moment."""
-    shutil.copy(ROOT / "Makefile", tmp_path)
-    for name in ("requirements.lock", "requirements-dev.lock", "pyproject.toml", ".venv/bin/python"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch()
-    (command,) = (part.command for part in tool.parts() if part.name == "linters")
-    told = subprocess.run([*command, "--dry-run"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert "ruff check" in told
-    assert "install" not in told
 
 
 @pytest.fixture
@@ -86,15 +71,6 @@ def test_while_others_run_it_is_tried_again_at_once(ran, tries, how, status):
     assert log == [*(("rig", "again", each) for each in how), ("rig", "first", "1"), ("slow", "first", "None")]
 
 
-def test_what_many_workers_share_is_made_before_they_begin(tool, tmp_path, monkeypatch):
-    (tmp_path / "part.py").write_text(SCRIPT)
-    monkeypatch.chdir(tmp_path)
-    part = tool.Part("many", (sys.executable, "part.py", "many", "0", "9"), workers=3)
-    with (tmp_path / "told").open("w") as told:
-        assert tool.begin(part, told, []).wait() == 0
-    assert (tmp_path / "log").read_text().split("\n")[:-1] == ["many collected None", "many first None"]
-
-
 @pytest.mark.parametrize(
     "parts",
     [
@@ -108,11 +84,6 @@ def test_what_fails_has_failed(ran, parts, capfd):
     assert status == 1
     assert len(log) == len(parts) + (parts[0][1] == 1)
     assert f"failed: {parts[-1][0]}" in capfd.readouterr().out
-
-
-def test_an_example_may_take_as_long_as_it_takes():
-    assert settings.default.deadline is None
-    assert HealthCheck.too_slow in settings.default.suppress_health_check
 
 
 def test_no_test_is_left_out_and_none_is_run_twice(tool):

@@ -9,11 +9,12 @@ import pytest
 
 from palmd.cli.init import configuration, questions
 from palmd.config.pads import StripConfig
-from palmd.config.tabletop import STRIP_COUNTS, TABLETOP
+from palmd.config.tabletop import STRIP_COUNTS
 from palmd.config.two_palms import RigConfig
 from palmd.devices.strip import POSITION_MAX
 from palmd.yamlfile import load_config
 from tools.tabletop.drawing import drawing
+from tools.tabletop.geometry import TABLETOP
 from tools.tabletop.mjcf import mjcf
 from tools.tabletop.parameters import parameters
 

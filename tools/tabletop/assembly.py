@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from palmd.config.tabletop import Tabletop
+from tools.tabletop.geometry import Tabletop
 from tools.tabletop.mesh import Mesh, box, overlaps, turned
 
 PARTS = ("palm", "bracket", "base")

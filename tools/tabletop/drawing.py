@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from palmd.config.tabletop import Tabletop
+from tools.tabletop.geometry import Tabletop
 from tools.tabletop.svg import BODY, METAL, NEW, SERVO, STRIP, THIN, Point, View, document
 
 ANGLES_DEG = (45.0, 135.0)  # of the palms, from the world X axis

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
-from palmd.config.tabletop import TABLETOP, Tabletop
 from tools.tabletop import firmware
 from tools.tabletop.assembly import PARTS, collisions
 from tools.tabletop.drawing import assembly, drawing
+from tools.tabletop.geometry import TABLETOP, Tabletop
 from tools.tabletop.mesh import Mesh, fits, open_edges, read_stl
 from tools.tabletop.mjcf import mjcf
 from tools.tabletop.parameters import parameters

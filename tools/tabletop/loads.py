@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from palmd.config.tabletop import Tabletop
 from palmd.config.two_palms import LimitsConfig
+from tools.tabletop.geometry import Tabletop
 
 GRAVITY_M_S2 = 9.81
 PLA_KG_M3 = 1240.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from palmd.config.tabletop import Tabletop
+from tools.tabletop.geometry import Tabletop
 
 PRINTED_KG_M3 = 1240.0
 """PLA, printed solid."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from palmd.config.tabletop import Tabletop
+from tools.tabletop.geometry import Tabletop
 
 DERIVED = (
     "strip_end", "surface", "eye_radius", "cheek_radius", "eye_start", "cheek_start", "cheek_end", "servo_start",

@@ -12,9 +12,9 @@ from typing import Any
 
 import yaml
 
-from palmd.config.tabletop import TABLETOP, Tabletop
 from palmd.config.two_palms import LimitsConfig
 from tools.tabletop import loads
+from tools.tabletop.geometry import TABLETOP, Tabletop
 
 SOURCE = Path(__file__).with_name("parts.yaml")
 STALL_NM = 1.4

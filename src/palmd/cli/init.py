@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from palmd.config.pads import ST0001_TAXELS, TSF85_COLUMNS, TSF85_ROWS
-from palmd.config.tabletop import STRIP_COUNTS, TABLETOP
+from palmd.config.tabletop import PALM_LENGTH_MM, STRIP_COUNTS, STRIP_LENGTH_MM, STRIP_START_MM
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
 from palmd.devices.pad import pad_note
@@ -134,11 +134,11 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield from _array_questions(answers)
     if answers["pads"] == "strip":
         yield "strip_start", Prompt("Distance in mm from the axis to the strip's active area",
-                                    f"{TABLETOP.strip_start:g}", number(0, 100))  # fmt: skip
-        yield "strip_length", Prompt("Length of the active area in mm", f"{TABLETOP.strip_length:g}", number(10, 500))
+                                    f"{STRIP_START_MM:g}", number(0, 100))  # fmt: skip
+        yield "strip_length", Prompt("Length of the active area in mm", f"{STRIP_LENGTH_MM:g}", number(10, 500))
     yield "arm", Prompt(f"Actuator of the palms\n{_choices(ARMS)}", "dynamixel", one_of(ARMS))
     yield "port", Prompt("Its port", "/dev/palmd-arm")
-    length = "120" if answers["arm"] == "adept" else f"{TABLETOP.palm_length:g}"
+    length = "120" if answers["arm"] == "adept" else f"{PALM_LENGTH_MM:g}"
     for palm in PALMS:
         yield f"palm{palm}", Prompt(f"Length of palm {palm} in mm", length, number(10, 2000))
     yield "tilt", Prompt("Tilt of the palms' plane from the horizontal in degrees (90: upright)", "90",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, Protocol
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
@@ -70,12 +70,17 @@ ForceLimits = Annotated[
 """One limit for all pads, or one for each."""
 
 
-def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
-    """Return the limits; raises ValueError if they name an unknown pad."""
-    names = [*names]
-    if isinstance(limits, dict) and (unknown := [name for name in limits if name not in names]):
-        raise ValueError(f"unknown pad {unknown[0]}: use {', '.join(names[:-1])} or {names[-1]}, or one number for all")
-    return limits
+def only_palms(palms: Iterable[int]) -> Callable[[float | PadForces | None], float | PadForces | None]:
+    """Validator of limits that may name only the pads of these palms."""
+    names = [f"palm{palm}" for palm in palms]
+
+    def check(limits: float | PadForces | None) -> float | PadForces | None:
+        if isinstance(limits, dict) and (unknown := [name for name in limits if name not in names]):
+            known = f"{', '.join(names[:-1])} or {names[-1]}"
+            raise ValueError(f"unknown pad {unknown[0]}: use {known}, or one number for all")
+        return limits
+
+    return check
 
 
 class _HasFullScale(Protocol):

@@ -19,8 +19,8 @@ from pydantic import (
     model_serializer,
 )
 
-from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
-from palmd.config.tabletop import TABLETOP
+from palmd.config.fields import AnyBaud, Baud, NotNegative, Pair, Plausible, PortPath, Positive, Strict, by_kind, one_of
+from palmd.config.tabletop import STRIP_COUNTS_PER_MM, STRIP_LENGTH_MM, STRIP_START_MM
 from palmd.system.corrections import STEEPEST, corrections, fault_of
 from palmd.system.description import PadSensor
 
@@ -38,7 +38,6 @@ class PressureConfig(Strict):
     """Whether the number decreases with the force."""
 
 
-_Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]
 _CORRECTIONS_PER_MM = 4.0  # (derivation: linear interpolation errs by 1/500 of the amplitude of a 12 mm wave)
 
 
@@ -64,7 +63,7 @@ class PadBase(Strict):
     """Distance of the pad's far end from the hinge."""
     curve_mm: Annotated[tuple[FiniteFloat, ...], Field(strict=False, max_length=64)] = ()
     """Corrections of the reading at evenly spaced positions from hinge to pad's end, two or more; empty: none."""
-    map: Annotated[tuple[_Pair, ...], Field(strict=False, max_length=256)] = ()
+    map: Annotated[tuple[Pair, ...], Field(strict=False, max_length=256)] = ()
     """Corrections of the reading: pairs of a distance from the hinge and a correction [mm], interpolated by a cubic."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
     """Standard deviation of a position, without its rounding."""
@@ -166,11 +165,11 @@ class StripConfig(PadBase):
 
     kind: Literal["strip"]
     """Kind of pad."""
-    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = TABLETOP.strip_start
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = STRIP_START_MM
     """Distance from the hinge at which the strip counts 0."""
-    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = TABLETOP.counts_per_mm
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = STRIP_COUNTS_PER_MM
     """The strip's scale: 16383 counts over 60 mm."""
-    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = TABLETOP.strip_end
+    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = STRIP_START_MM + STRIP_LENGTH_MM
     """Distance of the strip's far end from the hinge."""
     newtons_per_count: Annotated[Positive, Plausible(0.00005, 0.05)] = 0.002
     """Force of one count."""

@@ -10,9 +10,18 @@ from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
-from palmd.config.guards import ForceLimits, JointFollowingError, PadForces, known_pads
+from palmd.config.guards import ForceLimits, JointFollowingError, only_palms
 from palmd.config.pads import AnyPads, VersaPadConfig
-from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
+from palmd.config.plans import (
+    AnyPlanSpec,
+    Duration,
+    ExploreGoal,
+    ExploreSpec,
+    HoldSpec,
+    JointValues,
+    SwingFrequency,
+    one_key_of,
+)
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.system.three_palms import MECHANISM, PALMS, RELATIONS, SYSTEM, PadPlane, ThreePalmsRig
 
@@ -104,10 +113,7 @@ class ThreePalmsLimitsConfig(Strict):
     force_n: ForceLimits | None = None
     """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
 
-    @field_validator("force_n")
-    @classmethod
-    def _own_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
-        return known_pads(force_n, (f"palm{palm}" for palm in PALMS))
+    _own_pads = field_validator("force_n")(only_palms(PALMS))
 
     @property
     def ranges_deg(self) -> tuple[tuple[float, float], ...]:
@@ -173,13 +179,6 @@ class TiltMoveSpec(Strict):
     """Duration."""
 
 
-class TiltHoldSpec(Strict):
-    """Stand still."""
-
-    hold_s: Duration
-    """Duration."""
-
-
 def _for_all_joints(value: Any) -> Any:
     return value if isinstance(value, list) else [value] * 3
 
@@ -220,7 +219,7 @@ class TiltExploreSpec(ExploreSpec):
 
 TiltSegmentSpec = Annotated[
     Annotated[TiltMoveSpec, Tag("<move>")]
-    | Annotated[TiltHoldSpec, Tag("<hold_s>")]
+    | Annotated[HoldSpec, Tag("<hold_s>")]
     | Annotated[TiltSineSpec, Tag("<sine>")]
     | Annotated[TiltExploreSpec, Tag("<explore>")],
     one_key_of(("move", "hold_s", "sine", "explore")),

@@ -20,7 +20,7 @@ from pydantic import (
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
-from palmd.config.guards import ForceLimits, PadForces, PalmFollowingError, known_pads
+from palmd.config.guards import ForceLimits, PalmFollowingError, only_palms
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -32,7 +32,7 @@ from palmd.config.plans import (
     SwingFrequency,
     one_key_of,
 )
-from palmd.config.tabletop import TABLETOP
+from palmd.config.tabletop import PALM_LENGTH_MM
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.events import ObserverName
 from palmd.system.description import RigDescription
@@ -121,7 +121,7 @@ class RigConfig(Strict):
         """Use the tabletop rig's palm lengths as defaults for a fixed hinge."""
         if not (isinstance(values, dict) and values.get("hinge") == "fixed"):
             return values
-        return {f"palm{palm}_length_mm": TABLETOP.palm_length for palm in PALMS} | values
+        return {f"palm{palm}_length_mm": PALM_LENGTH_MM for palm in PALMS} | values
 
     @property
     def palm_lengths_mm(self) -> tuple[float, ...]:
@@ -166,10 +166,7 @@ class LimitsConfig(Strict):
     force_n: ForceLimits | None = None
     """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
 
-    @field_validator("force_n")
-    @classmethod
-    def _own_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
-        return known_pads(force_n, (f"palm{palm}" for palm in PALMS))
+    _own_pads = field_validator("force_n")(only_palms(PALMS))
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:

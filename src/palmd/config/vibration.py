@@ -6,11 +6,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from palmd.config.fields import NotNegative, Plausible, Strict
+from palmd.config.fields import NotNegative, Plausible, Positive, Strict
 from palmd.system.vibration import VIBRATION_KEYS, VIBRATION_SD_KEYS, Relation, Vibration, VibrationLaw
 
 MOST_HZ = 5000.0  # upper limit of a shaker's frequency (convention: small ones have 200 to 280 Hz)
-_Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class VibrationConfig(Strict):
@@ -18,11 +17,11 @@ class VibrationConfig(Strict):
 
     relation: Relation = "independent"
     """Phase of the palms: `in_phase` moves both away from the hinge at once; `none`: no shaker, dry friction."""
-    frequency_hz: Annotated[_Positive, Field(le=MOST_HZ), Plausible(50, 1000)] | None = None
+    frequency_hz: Annotated[Positive, Field(le=MOST_HZ), Plausible(50, 1000)] | None = None
     """Frequency of both palms; independently vibrating palms differ by 5 Hz or more."""
     frequency_sd_hz: NotNegative | None = None
     """Standard deviation of the frequency."""
-    speed_m_s: Annotated[_Positive, Field(le=1), Plausible(0.002, 0.1)] | None = None
+    speed_m_s: Annotated[Positive, Field(le=1), Plausible(0.002, 0.1)] | None = None
     """Amplitude of a palm's speed along itself: 2π · frequency · amplitude."""
     speed_sd_m_s: NotNegative | None = None
     """Standard deviation of the speed; default 10 % of it."""

@@ -12,7 +12,7 @@ from subprocess import Popen
 from types import FrameType
 from typing import Any
 
-from palmd.config.any_config import AnyConfig, as_yaml, config_hash
+from palmd.config.any_config import as_yaml, config_hash
 from palmd.daemon import realtime
 from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
@@ -21,16 +21,16 @@ from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
 from palmd.daemon.pad_units import with_reported_units
 from palmd.daemon.plan_compiler import PlanCompiler
-from palmd.daemon.planner import Plan, PlanFolder, read_plan
+from palmd.daemon.planner import PlanFolder, read_plan
 from palmd.daemon.processor_time import ProcessorTime
 from palmd.daemon.recorder_process import RecorderProcess
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.daemon.systemd import Notifier
-from palmd.daemon.systems import AnySystem, live_system
+from palmd.daemon.systems import live_system
 from palmd.keys import KeysError, server_keys
 from palmd.messages import Fields
 from palmd.observer.observer import LiveObserver
-from palmd.outlinefile import Outline, OutlineError, read_library
+from palmd.outlinefile import OutlineError, read_library
 from palmd.topics import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -80,62 +80,42 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[by
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
         recording = None if recorder is None else _start_recorder(recorder)
-        return _run(
-            config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler
+        notifier = Notifier()
+        stack.callback(notifier.close)
+        notifier.status("building the observer")
+        estimator, smoother = system.observer(outlines, stack)
+        notes = ["vm-backend"] if estimator.backend == "vm" else []
+        estimator.warm_up()
+        missing = realtime.prepare()
+        for text in missing:
+            log.warning("%s", text)
+        notes += ["no-realtime"] if missing else []
+        explorer, folder = system.explorer(stack), config_path.absolute().parent
+        core = Core(config, estimator, compiler, plan, notes, folder, explorer, system, smoother)
+        ports = core.ports()
+        for port in ports.values():
+            stack.callback(port.close)
+        loop = Loop(
+            core,
+            ports,
+            bus,
+            notifier,
+            rate_hz=config.loop.rate_hz,
+            backend=estimator.backend,
+            info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
+            info_topic=SYSTEM_TOPICS[config.system].info,
+            config={"config_hash": config_hash(config), "yaml": as_yaml(config)},
+            counters=lambda: _counters(smoother, estimator, explorer),
+            processor=ProcessorTime(),
+            tend=[each.tend for each in (compiler, smoother, explorer, recording) if each is not None],
         )
-
-
-def _run(
-    config: AnyConfig,
-    system: AnySystem,
-    folder: Path,
-    plan: Plan | None,
-    outlines: tuple[Outline, ...],
-    bus: Bus,
-    recorder: RecorderProcess | None,
-    signals: _Signals,
-    stack: ExitStack,
-    compiler: PlanCompiler,
-) -> int:
-    notifier = Notifier()
-    stack.callback(notifier.close)
-    notifier.status("building the observer")
-    notes: list[str] = []
-    estimator, smoother = system.observer(outlines, stack)
-    if estimator.backend == "vm":
-        notes.append("vm-backend")
-    estimator.warm_up()
-    missing = realtime.prepare()
-    for text in missing:
-        log.warning("%s", text)
-    if missing:
-        notes.append("no-realtime")
-    explorer = system.explorer(stack)
-    core = Core(config, estimator, compiler, plan, notes, folder, explorer, system, smoother)
-    ports = core.ports()
-    for port in ports.values():
-        stack.callback(port.close)
-    loop = Loop(
-        core,
-        ports,
-        bus,
-        notifier,
-        rate_hz=config.loop.rate_hz,
-        backend=estimator.backend,
-        info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
-        info_topic=SYSTEM_TOPICS[config.system].info,
-        config={"config_hash": config_hash(config), "yaml": as_yaml(config)},
-        counters=lambda: _counters(smoother, estimator, explorer),
-        processor=ProcessorTime(),
-        tend=[each.tend for each in (compiler, smoother, explorer, recorder) if each is not None],
-    )
-    if recorder is not None:
-        bus.buffer_until("recorder", RECORDER_START_S)
-    else:
-        bus.buffer_until("recorder", EXTERNAL_RECORDER_S, since_open=True)
-    realtime.freeze_collector()
-    signals.hand_over(loop.stop)
-    return OK if loop.run() else RIG_FAILED
+        if recording is not None:
+            bus.buffer_until("recorder", RECORDER_START_S)
+        else:
+            bus.buffer_until("recorder", EXTERNAL_RECORDER_S, since_open=True)
+        realtime.freeze_collector()
+        signals.hand_over(loop.stop)
+        return OK if loop.run() else RIG_FAILED
 
 
 def _start_recorder(recorder: Callable[[], Popen[bytes]]) -> RecorderProcess | None:

@@ -182,8 +182,8 @@ class Core:
         """Process bytes of `end` read at `t` (s)."""
         if end != "arm":
             self._take(self.pads[end].feed(data, t))
-            return
-        self._events += self.arm.feed(data, t)
+        else:
+            self._events += self.arm.feed(data, t)
 
     def look(self, t: float) -> None:
         """Check between ticks whether a pad has lost contact by `t` (s), so that the next set-point already brakes.
@@ -303,7 +303,9 @@ class Core:
             self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
         )
         untouched = [number for number, touching in enumerate(self._contacts, 1) if not touching]
-        self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, t, self._invalid_because)
+        self._object_notes.look(
+            self._estimate.object_count, self._estimate.valid, untouched, t, lambda: self._observer.invalid_because
+        )
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """The messages to publish at `t` (s)."""
@@ -325,7 +327,7 @@ class Core:
             (system.topics.estimate, system.estimate_fields(self._estimate)),
             (system.topics.contact, contact_fields(pads, age if math.isfinite(age) else math.nan, system.naming)),
             (system.topics.motion, motion),
-            (system.topics.events, system.events_fields(t, self._fed_events)),
+            (system.topics.events, system.codec.events_fields(t, self._fed_events)),
         ]
         if self._answer is not None:
             messages.append(self._system.answer_message(t, self._answer))
@@ -338,16 +340,11 @@ class Core:
         if len(self._rig_prior_sds) and due:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_prior_sds, self._contradicted)))
-        control = self.supervisor.control.name
-        unattended = self.supervisor.unattended
+        supervisor = self.supervisor
         published = (
-            self.state,
-            self.faults.active,
-            self.setpoints.running,
-            self.supervisor.requested_state,
-            control,
-            unattended,
-        )
+            self.state, self.faults.active, self.setpoints.running, supervisor.requested_state, supervisor.control.name,
+            supervisor.unattended,
+        )  # fmt: skip
         if published != self._published_state or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._published_state, self._t_state = published, t
             messages.append((STATE, self._state_fields(t)))
@@ -366,17 +363,12 @@ class Core:
 
     def _state_fields(self, t: float) -> Fields:
         self._note_state_entry(t)
-        state, since, cause = self._state_entered
-        running, explored = self.setpoints.running, self.exploring.explored
-        requested_state, control, unattended = (
-            self.supervisor.requested_state,
-            self.supervisor.control.name,
-            self.supervisor.unattended,
-        )
-        faults = self.faults.active
+        (state, since, cause), supervisor = self._state_entered, self.supervisor
+        explored, control = self.exploring.explored, supervisor.control.name
         return state_fields(
-            str(state), faults, cause, requested_state, t - since, running, explored, control, unattended
-        )
+            str(state), self.faults.active, cause, supervisor.requested_state, t - since, self.setpoints.running,
+            explored, control, supervisor.unattended,
+        )  # fmt: skip
 
     def _note_state_entry(self, t: float) -> None:
         """When the state changes, keep its cause and the evidence, while it still holds."""
@@ -486,9 +478,6 @@ class Core:
         if self.setpoints.moving and all(self._contacts) and not self._estimate.valid:
             present.add("estimate-lost")
         return present.difference(self._system.suppressed_faults(self.exploring))
-
-    def _invalid_because(self) -> str:
-        return self._observer.invalid_because
 
     def _evidence(self, code: str, t: float) -> str:
         """The evidence for a fault that came up at `t` (s), in words; empty if there is none."""

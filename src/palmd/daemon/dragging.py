@@ -33,14 +33,14 @@ class DragExploration(ExplorationControl):
         del t
         current, limits = self._setpoints.exploration, self._setpoints.limits
         if current is None or not isinstance(limits, PivotLimits):
-            self._exploration, self._goal = None, math.nan
+            self.under_way, self._goal = None, math.nan
             return
         exploration, tau = current
-        if exploration is not self._exploration or self._drags is None:
-            self._exploration, self._ever_started, self._halting = exploration, True, False
+        if exploration is not self.under_way or self._drags is None:
+            self.under_way, self._ever_started, self._halting = exploration, True, False
             self._drags = (Rolls if limits.slides else Drags)(limits, exploration.goal)
             self._coverage, self._goal = self._drags.coverage, exploration.goal.coverage
-            self._reason = "it has just started"
+            self.reason = "it has just started"
         drags, self._seconds = self._drags, tau
         if self._halting or not inputs.tracking:
             if not self._setpoints.moving:
@@ -57,7 +57,7 @@ class DragExploration(ExplorationControl):
             return
         step = drags.look(contact, exploration.last.end, resting)
         exploration.coverage = self._coverage = drags.coverage
-        self._reason = step.reason or self._reason
+        self.reason = step.reason or self.reason
         if step.kind == "halt" and not resting:
             self._halting = True
             self._setpoints.pause(True)
@@ -67,6 +67,6 @@ class DragExploration(ExplorationControl):
             exploration.append(step.move, tau)
 
     def _end(self, reason: str) -> None:
-        self._reason = reason
+        self.reason = reason
         self._setpoints.conclude()
         log.info("the exploration is over: %s", reason)

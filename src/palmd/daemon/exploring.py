@@ -53,7 +53,8 @@ class ExplorationInputs(NamedTuple):
 class ExplorationControl(ABC):
     """The loop's side of explorations of any system: the current one, its coverage and state. Safe in the loop.
 
-    `silent`: whether decisions fail to arrive. `dropped`: number of decisions that came too late.
+    `under_way`: the current one. `reason`: why it or the last one is in its state. `silent`: whether decisions fail to
+    arrive. `dropped`: number of decisions that came too late.
     """
 
     silent = False
@@ -61,10 +62,10 @@ class ExplorationControl(ABC):
 
     def __init__(self, setpoints: SetPoints) -> None:
         self._setpoints = setpoints
-        self._exploration: Exploration | None = None
+        self.under_way: Exploration | None = None
         self._ever_started = False
         self._coverage = self._reachable = self._goal = self._seconds = math.nan
-        self._reason = ""
+        self.reason = ""
 
     @property
     def possible(self) -> bool:
@@ -75,29 +76,19 @@ class ExplorationControl(ABC):
         """Get ready for a plan that explores and has just been loaded."""
         return
 
-    @property
-    def under_way(self) -> Exploration | None:
-        """The exploration under way."""
-        return self._exploration
-
-    @property
-    def reason(self) -> str:
-        """Why the present or last exploration is in its state."""
-        return self._reason
-
     def summary(self) -> dict[str, Any] | None:
         """Coverage and state of the present or last exploration, for the status; None before the first."""
         if not self._ever_started:
             return None
         return {
-            "coverage": or_none(self._coverage), "reachable": or_none(self._reachable), "reason": self._reason,
+            "coverage": or_none(self._coverage), "reachable": or_none(self._reachable), "reason": self.reason,
         }  # fmt: skip
 
     @property
     def explored(self) -> Explored:
         """What `palm/state` publishes of it."""
-        running = self._exploration is not None
-        return Explored(running, self._seconds, self._coverage, self._goal, self._reachable, self._reason)
+        running = self.under_way is not None
+        return Explored(running, self._seconds, self._coverage, self._goal, self._reachable, self.reason)
 
     @abstractmethod
     def step(self, t: float, inputs: ExplorationInputs) -> None:
@@ -134,7 +125,7 @@ class DelegatedExploration(ExplorationControl):
             self._leave()
             return
         exploration, tau = current
-        if exploration is not self._exploration:
+        if exploration is not self.under_way:
             self._begin(exploration, t)
         self._seconds = tau
         answer = source.collect(t)
@@ -156,7 +147,7 @@ class DelegatedExploration(ExplorationControl):
             self._end(f"the time limit of {exploration.goal.time_limit_s:g} s is over")
         if self._ending and at_rest:
             self._setpoints.conclude()
-            log.info("the exploration is over: %s", self._reason)
+            log.info("the exploration is over: %s", self.reason)
             return
         if self._next is not None and exploration.end - tau <= LEAD_S:
             moves, self._rocking = self._next
@@ -167,11 +158,11 @@ class DelegatedExploration(ExplorationControl):
         self.silent = t - self._t_heard > SILENT_S
 
     def _begin(self, exploration: Exploration, t: float) -> None:
-        self._exploration, self._ever_started = exploration, True
+        self.under_way, self._ever_started = exploration, True
         self._run += 1
         self._coverage = self._reachable = math.nan
         self._goal = exploration.goal.coverage
-        self._reason = "it has just started"
+        self.reason = "it has just started"
         self._task = ExplorationTask(self._run, exploration.goal, self._setpoints.limits)
         self._forget(t)
 
@@ -182,17 +173,17 @@ class DelegatedExploration(ExplorationControl):
         self._t_known = self._t_moved = self._t_heard = self._t_ask = t
 
     def _leave(self) -> None:
-        if self._exploration is not None:
+        if self.under_way is not None:
             if not self._ending:
-                self._reason = "it was stopped"
-            self._exploration = None
+                self.reason = "it was stopped"
+            self.under_way = None
             self._forget(-math.inf)
 
     def _stand(self, exploration: Exploration, tau: float, t: float) -> None:
         """While the motion is held: drop the rest of the move once the palms are at rest."""
         if not self._setpoints.moving:
             if not self._halting:
-                self._reason = "the motion was held: it continues from here on another path after start"
+                self.reason = "the motion was held: it continues from here on another path after start"
             exploration.cut(tau)
             self._setpoints.pause(False)
             self._forget(t)
@@ -213,7 +204,7 @@ class DelegatedExploration(ExplorationControl):
         if decision.kind != "safe":
             self._next = None
             if not self._ending:
-                self._reason = decision.reason
+                self.reason = decision.reason
         if math.isfinite(decision.coverage):
             self._coverage = exploration.coverage = decision.coverage
         if math.isfinite(decision.reachable):
@@ -247,11 +238,11 @@ class DelegatedExploration(ExplorationControl):
 
     def _halt(self, reason: str) -> None:
         self._halting = True
-        self._reason = reason
+        self.reason = reason
         self._setpoints.pause(True)
 
     def _end(self, reason: str) -> None:
         """Decide on no further move: the exploration is over when the current one ends."""
         self._ending = True
         self._next = None
-        self._reason = reason
+        self.reason = reason

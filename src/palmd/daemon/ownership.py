@@ -62,11 +62,6 @@ class Control:
         self._declared: dict[tuple[str, str, str], _Lease] = {}
 
     @property
-    def owner(self) -> Client | None:
-        """The client in control as of the last `expire`."""
-        return self._owner
-
-    @property
     def name(self) -> str:
         """The name of the client in control, empty for none."""
         return self._owner.name if self._owner is not None else ""

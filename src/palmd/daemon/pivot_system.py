@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import partial
 from typing import ClassVar
 
@@ -16,25 +17,26 @@ from palmd.daemon.exploring import ExplorationControl
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import pivot_contradiction
-from palmd.daemon.pivot_smoothing import PivotSmootherProcess
+from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
+from palmd.daemon.smoothing import EventsProcess
 from palmd.daemon.systems import LiveSystem
-from palmd.devices.actuator import ArmPose, Pose, Reach
-from palmd.events import Joints, ShapeEstimate
+from palmd.devices.actuator import ArmPose, Pose
+from palmd.events import Joints
 from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.outlinefile import Outline
-from palmd.pivot_quantities import PIVOT_ANSWER, PIVOT_SHAPE
+from palmd.pivot_quantities import PIVOT_ANSWER
 from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3
 
 
-class PivotPoses:
+class PivotPoses(Poses):
     """Poses of an arm whose tool is the pivot; its base is at (x, y) from the pad's zero, turned by `yaw` (m, rad)."""
 
     def __init__(self, x: float, y: float, yaw: float) -> None:
@@ -67,10 +69,6 @@ class PivotPoses:
         del angles
         return pose.t_rad if isinstance(pose, Pose) else 0.0
 
-    def workspace(self, reach: Reach) -> None:
-        """No check beyond the joints' limits: the controller itself refuses set-points outside."""
-        del reach
-
 
 class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
@@ -86,11 +84,13 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         if config.rig.vertical == "float":
             self.free = (AXES.index("z"),)  # commanded is the slide's stop
 
-    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
+    def observer(
+        self, outlines: Sequence[Outline], stack: ExitStack
+    ) -> tuple[PivotObserver, EventsProcess[PivotAnswer]]:
         """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = pivot_rig(self._config)
-        smoother = PivotSmootherProcess(rig)
+        smoother = EventsProcess("palmd.daemon.pivot_smoothing", asdict(rig), messages.ANSWERS.unpacked)
         stack.callback(smoother.close)
         return pivot_observer(rig, smoother), smoother
 
@@ -115,17 +115,6 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def answer_message(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
         return PIVOT_ANSWER, messages.answer_fields(t, answer)
-
-    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
-        """`palm/pivot_shape`."""
-        return PIVOT_SHAPE, messages.shape_fields(shape)
-
-    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """Joint positions and their limits as text, in millimetres."""
-        return ", ".join(
-            f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} mm and {high * 1e3:g} mm"
-            for axis, at, (low, high) in zip(AXES, angles, limits, strict=True)
-        )
 
 
 _NO_CONTACT = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})

@@ -5,7 +5,7 @@ An arm that holds the far end of palm 2 takes poses of its tool; servos that tur
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 from palmd.config.two_palms import Config
 from palmd.devices.actuator import ArmPose, JointPose, Pose, Reach
@@ -14,23 +14,29 @@ from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import Workspace
 
 
-class Poses(Protocol):
+class Poses(ABC):
     """Joint angles (rad) to the actuator's poses and back; a tool may be twisted against palm 2 (rad)."""
 
+    @abstractmethod
     def pose(self, angles: Joints, twist: float = 0.0) -> ArmPose:
         """The actuator's pose for these joint angles; raises PoseError if there is none."""
 
+    @abstractmethod
     def angles(self, pose: ArmPose) -> Joints:
         """The joint angles for a pose; raises PoseError if there are none."""
 
     def twist(self, pose: ArmPose, angles: Joints) -> float:
-        """Twist of the tool against palm 2 in a pose with these joint angles."""
+        """Twist of the tool against palm 2 in a pose with these joint angles; 0 without a tool."""
+        del pose, angles
+        return 0.0
 
     def workspace(self, reach: Reach) -> Workspace | None:
         """The actuator's limits that apply to a motion, None where only the joint limits apply."""
+        del reach
+        return None
 
 
-class ArcPoses:
+class ArcPoses(Poses):
     """Poses of an arm that holds palm 2's far end; palm 1 is hinged to the base."""
 
     def __init__(self, geometry: RigGeometry) -> None:
@@ -54,18 +60,11 @@ class ArcPoses:
 
     def workspace(self, reach: Reach) -> Workspace:
         """A box for the tool's position, and limits of its speed and acceleration."""
-        return Workspace(
-            self.geometry,
-            reach.x_min_m,
-            reach.x_max_m,
-            reach.y_min_m,
-            reach.y_max_m,
-            reach.v_max_m_s,
-            reach.a_max_m_s2,
-        )
+        box = reach.x_min_m, reach.x_max_m, reach.y_min_m, reach.y_max_m
+        return Workspace(self.geometry, *box, reach.v_max_m_s, reach.a_max_m_s2)
 
 
-class JointPoses:
+class JointPoses(Poses):
     """Poses of servos that turn the palms about a fixed hinge: the joint angles."""
 
     def pose(self, angles: Joints, twist: float = 0.0) -> JointPose:  # noqa: ARG002
@@ -77,14 +76,6 @@ class JointPoses:
         if not isinstance(pose, JointPose):
             raise PoseError("the actuator reports no joint angles")
         return pose.joints_rad
-
-    def twist(self, pose: ArmPose, angles: Joints) -> float:  # noqa: ARG002
-        """There is no tool."""
-        return 0.0
-
-    def workspace(self, reach: Reach) -> Workspace | None:  # noqa: ARG002
-        """There is no tool."""
-        return None
 
 
 def make_poses(config: Config) -> Poses:

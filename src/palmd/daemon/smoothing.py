@@ -20,6 +20,7 @@ import numpy as np
 
 from palmd.daemon.worker import WorkerProcess, release_memory, worker_socket
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Unexplained
+from palmd.messages import IMPROVEMENTS
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import RigDescription
 
@@ -90,6 +91,14 @@ class BatchingProcess(Generic[Answer]):
         self._process.close()
 
 
+class EventsProcess(BatchingProcess[Answer]):
+    """A smoother process that needs the events only; safe inside the loop."""
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Send the tick's events."""
+        self._hand_over(t, events)
+
+
 class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
     """Smoother process for two palms; safe inside the loop."""
 
@@ -118,10 +127,11 @@ def unpacked(fields: list[Any]) -> Event:
 def work(
     address: str,
     add: Callable[..., None],
-    answer: Callable[[], list[Any] | None],
+    answer: Callable[[], Any],
+    pack: Callable[[Any], list[Any]],
     period_s: Callable[[], float],
 ) -> None:
-    """Main loop of a process, endless: `add` what arrives, `answer` at most every `period_s`."""
+    """Main loop of a process, endless: `add` what arrives, send the `answer` at most every `period_s`."""
     t_next = 0.0
     with worker_socket(address, NICENESS) as socket:
         while True:
@@ -134,7 +144,7 @@ def work(
             spent = time.process_time() - spent  # what it waited for on a busy machine, others have had
             t_next = started + max(period_s(), spent / SHARE)
             if result is not None:
-                socket.send(msgpack.packb(result))
+                socket.send(msgpack.packb(pack(result)))
                 release_memory()  # not beside a thought: the collector stops it, for a third of its time
 
 
@@ -159,25 +169,12 @@ def serve(address: str, rig: str) -> None:
     def add(object_count: int, begun: float, hint: bytes | None, events: list[Event]) -> None:
         smoother.add(Session(object_count, begun, None if hint is None else np.frombuffer(hint)), events)
 
-    def answer() -> list[Any] | None:
-        result = smoother.result()
-        if result is None:
-            return None
-        if isinstance(result, Unexplained):
-            return [result.t]
-        return [result.t, result.frame, result.established, *(each.tobytes() for each in _arrays_of(result))]
-
-    work(address, add, answer, lambda: period(smoother.elapsed_s))
+    work(address, add, smoother.result, _packed_answer, lambda: period(smoother.elapsed_s))
 
 
-_arrays_of = attrgetter("touched", "x", "P", "rig", "rig_sd", "spread", "contradicted")
+def _packed_answer(answer: Improvement | Unexplained) -> list[Any]:
+    return [answer.t] if isinstance(answer, Unexplained) else IMPROVEMENTS.packed(answer)
 
 
-def _unpacked_answer(t: float, *fields: Any) -> Improvement | Unexplained:
-    if not fields:
-        return Unexplained(t)
-    frame, established, touched, *arrays = fields
-    x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
-    square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
-    marks = np.frombuffer(touched, dtype=np.bool_)
-    return Improvement(t, x, square, frame, established, marks, rig, rig_sd, beyond, against)
+def _unpacked_answer(*values: Any) -> Improvement | Unexplained:
+    return Unexplained(*values) if len(values) == 1 else IMPROVEMENTS.unpacked(*values)

@@ -287,7 +287,7 @@ class Supervisor:
             "log": log_fields(self._journal.entries[-STATUS_LOG_ENTRIES:]),
         }
         if self.estimate is not None:
-            status["estimate"] = self._system.estimate_summary(self.estimate)
+            status["estimate"] = self._system.codec.estimate_summary(self.estimate)
         if self._arm.actual is not None:
             status |= dict(zip(self._system.joints, self._arm.actual.angles, strict=True))
         optional = {"explored": explored, "recorder": recorder}
@@ -372,13 +372,9 @@ class Supervisor:
         self._refuse_while_moving()
         name, text = request.args["path"], request.args.get("text")
         plans, limits, actual = self._plans, self._setpoints.limits, self._arm.actual
-        start: Angles | None = None
-        if actual is not None:
-            start = self._setpoints.nearest(actual).angles
-        if text is None:
-            self._begin(request, partial(plans.load, name, limits, start), limits, self._adopt)
-        else:
-            self._begin(request, partial(plan_in, text, name, limits, start), limits, self._adopt)
+        start = None if actual is None else self._setpoints.nearest(actual).angles
+        read = partial(plans.load, name) if text is None else partial(plan_in, text, name)
+        self._begin(request, partial(read, limits, start), limits, self._adopt)
 
     def _adopt(self, plan: Plan, request: Request) -> None:
         self._refuse_if_overtaken(request)
@@ -438,11 +434,7 @@ class Supervisor:
     # ---- what comes of them later ------------------------------------------------------------------------
 
     def _begin(
-        self,
-        request: Request,
-        work: Callable[[], Plan],
-        limits: MotionLimits,
-        done: Callable[[Plan, Request], None],
+        self, request: Request, work: Callable[[], Plan], limits: MotionLimits, done: Callable[[Plan, Request], None]
     ) -> None:
         """Compute a plan within `limits` by the picklable call `work` beside the loop."""
         if self._job is not None:

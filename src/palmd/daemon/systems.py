@@ -26,7 +26,7 @@ from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
-from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
 from palmd.messages import Fields, MessageCodec, named_state_is_finite
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
@@ -136,25 +136,21 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         """The message fields of an estimate."""
         return self.codec.estimate_fields(estimate)
 
-    def events_fields(self, t: float, events: Sequence[Event]) -> Fields:
-        """The message fields of the events that the observer was fed in the tick at `t` (s)."""
-        return self.codec.events_fields(t, events)
-
     @abstractmethod
     def answer_message(self, t: float, answer: Any) -> tuple[Topic, Fields]:
         """The message of a smoother's answer."""
 
-    @abstractmethod
     def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """The message of an outline."""
+        return self.topics.shape, self.codec.shape_fields(shape)
 
-    def estimate_summary(self, estimate: Estimated) -> Fields:
-        """The part of the estimate that the status contains."""
-        return self.codec.estimate_summary(estimate)
-
-    @abstractmethod
     def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """The joints' values and limits, in words."""
+        unit, scale = self.guards.scale.unit, self.guards.scale.scale
+        return ", ".join(
+            f"{joint} is {at * scale:.1f}{unit}, its limits are {low * scale:g}{unit} and {high * scale:g}{unit}"
+            for joint, at, (low, high) in zip(self.guards.scale.names, angles, limits, strict=True)
+        )
 
 
 AnySystem = LiveSystem[Any, Any]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import ClassVar
 
 from palmd import three_palms_messages as messages
@@ -13,9 +14,10 @@ from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import no_contradiction
+from palmd.daemon.poses import Poses
+from palmd.daemon.smoothing import EventsProcess
 from palmd.daemon.systems import LiveSystem
-from palmd.daemon.three_palms_smoothing import BodySmootherProcess
-from palmd.devices.actuator import ArmPose, Pose, Reach
+from palmd.devices.actuator import ArmPose, Pose
 from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
@@ -31,7 +33,7 @@ OUTSIDE_RAD = math.radians(1.0)
 _PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
 
 
-class TiltPoses:
+class TiltPoses(Poses):
     """Poses of a controller that drives the joints: x and y are β and γ2, 1/1000 degree per µm, and t is γ3."""
 
     def pose(self, angles: Joints, twist: float = 0.0) -> Pose:  # noqa: ARG002
@@ -44,14 +46,6 @@ class TiltPoses:
         if not isinstance(pose, Pose):
             raise PoseError("the controller reports no pose")
         return (pose.x_m / _PER_RAD, pose.y_m / _PER_RAD, pose.t_rad)
-
-    def twist(self, pose: ArmPose, angles: Joints) -> float:  # noqa: ARG002
-        """Always 0: there is no tool."""
-        return 0.0
-
-    def workspace(self, reach: Reach) -> None:
-        """No check beyond the joints' limits: the controller itself refuses set-points outside."""
-        del reach
 
 
 class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
@@ -77,11 +71,11 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         )
         self._latest: BodyEstimate | None = None
 
-    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, BodySmootherProcess]:
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, EventsProcess[BodyAnswer]]:
         """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = three_palms_rig(self._config)
-        smoother = BodySmootherProcess(rig)
+        smoother = EventsProcess("palmd.daemon.three_palms_smoothing", asdict(rig), messages.ANSWERS.unpacked)
         stack.callback(smoother.close)
         return BodyObserver(rig, smoother), smoother
 
@@ -102,11 +96,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     def is_finite(self, estimate: BodyEstimate) -> bool:
         """Whether all named quantities have finite values and 1σ."""
         named = (each.name for each in self.topics.estimate.quantities if each.role == "named")
-        nan = math.nan
-        return all(
-            math.isfinite(estimate.values.get(name, nan)) and math.isfinite(estimate.sd.get(name, nan))
-            for name in named
-        )
+        return all(math.isfinite(of.get(name, math.nan)) for name in named for of in (estimate.values, estimate.sd))
 
     def estimate_fields(self, estimate: BodyEstimate) -> Fields:
         """`palm3/estimate`."""
@@ -119,13 +109,5 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
 
     def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm3/shape`."""
-        latest = self._latest
-        count, valid = (0, False) if latest is None else (latest.object_count, latest.valid)
-        return PALM3_SHAPE, messages.shape_fields(shape, count, valid)
-
-    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """Joint angles and their limits as text, in degrees."""
-        return ", ".join(
-            f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g}° and {math.degrees(high):g}°"
-            for joint, at, (low, high) in zip(JOINTS, angles, limits, strict=True)
-        )
+        of = () if self._latest is None else (self._latest.object_count, self._latest.valid)
+        return PALM3_SHAPE, messages.shape_fields(shape, *of)

@@ -21,12 +21,12 @@ from palmd.daemon.poses import ArcPoses, Poses, make_poses
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
-from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
-from palmd.messages import Fields, MessageCodec, improvement_fields, shape_fields, unexplained_fields
+from palmd.events import Estimate, Improvement, PadSample, PalmMotion, Unexplained
+from palmd.messages import Fields, MessageCodec, improvement_fields, unexplained_fields
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.observer.sticking import StickingWatch
 from palmd.outlinefile import Outline
-from palmd.quantities import IMPROVEMENT, SHAPE, UNEXPLAINED, Topic
+from palmd.quantities import IMPROVEMENT, UNEXPLAINED, Topic
 from palmd.system.mechanism import JOINTS, NAMING
 from palmd.system.rig_constants import prior_sds
 
@@ -121,18 +121,10 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
             return UNEXPLAINED, unexplained_fields(t, answer)
         return IMPROVEMENT, improvement_fields(t, answer)
 
-    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
-        """`palm/shape`."""
-        return SHAPE, shape_fields(shape)
-
     def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """In degrees."""
-        deg = math.degrees
-        each = [
-            f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
-            for joint, angle, (low, high) in zip(JOINTS, angles, limits, strict=True)
-        ]
-        return ", ".join([*each, f"phi12 is {deg(sum(angles)):.1f}°, it must stay below {deg(self.limits.top):.1f}°"])
+        """In degrees, with their sum."""
+        phi12, top = math.degrees(sum(angles)), math.degrees(self.limits.top)
+        return f"{super().describe_joints(angles, limits)}, phi12 is {phi12:.1f}°, it must stay below {top:.1f}°"
 
 
 def _guard_limits(config: Config, poses: Poses) -> GuardLimits:

@@ -1,13 +1,18 @@
-"""Limits of independent joints: a range for each, one speed and one acceleration for all."""
+"""Limits and plans of independent joints: a range for each, one speed and one acceleration for all."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from palmd.events import PalmMotion
-from palmd.motion.limits import MotionLimits, QuantityLimit
+from palmd.config.plans import AnyPlanSpec, ExploreSpec, HoldSpec
+from palmd.events import Joints, PalmMotion
+from palmd.motion.exploration import Exploration
+from palmd.motion.limits import MotionLimits, QuantityLimit, clipped, problems
+from palmd.motion.plan import Loc, PlanError, Round, Trajectory, extremes_of
+from palmd.motion.segments import Angles, Hold, MotionSegment
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +48,41 @@ class JointLimits(MotionLimits):
         """Return the quantities bounded by `bounds`, in that order."""
         return (*motion.angles, *motion.rates, *motion.accelerations)
 
-    def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
-        """Clamp `wanted` to the ranges and to a step of rate·dt, as `MotionLimits.clamp_step`. Safe in the loop."""
-        if not all(map(math.isfinite, wanted.angles)):
-            return PalmMotion.at_rest(previous.angles)
-        inside = tuple(min(max(each, low), high) for each, (low, high) in zip(wanted.angles, self.angles, strict=True))
-        steps = [each - before for each, before in zip(inside, previous.angles, strict=True)]
-        longest, room = max(map(abs, steps)), self.rate * dt
-        if inside == wanted.angles and longest <= room:
-            return wanted
-        share = 1.0 if longest <= room else room / longest
-        clamped = tuple(before + share * step for before, step in zip(previous.angles, steps, strict=True))
-        rates = tuple(share * step / dt for step in steps) if dt > 0.0 else (0.0,) * len(steps)
-        return PalmMotion(clamped, rates, (0.0,) * len(steps))
+    def _inside(self, angles: Joints) -> Joints:
+        return clipped(angles, self.angles)
+
+
+def compile_joint_plan(
+    spec: AnyPlanSpec,
+    limits: JointLimits,
+    start: Angles,
+    motions: Callable[[Any, Angles], tuple[Sequence[MotionSegment], Angles]],
+) -> Trajectory:
+    """Compile a plan to a trajectory that begins at `start`; raises PlanError with all violations of the limits.
+
+    `motions` makes the segments of an entry of the plan other than a hold or an exploration, from its pose, and the
+    pose at their end.
+    """
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(start), PalmMotion.at_rest(start), math.inf).angles
+    violations: list[tuple[Loc, str]] = []
+    segments: list[MotionSegment] = []
+    labels: list[str] = []
+    for index, each in enumerate(spec.segments):
+        if isinstance(each, ExploreSpec):
+            if index != len(spec.segments) - 1:
+                text = "an exploration must be the last segment: its end is not known beforehand"
+                violations.append((("segments", index), text))
+            own: Sequence[MotionSegment] = [Exploration(pose, each.explore)]
+        elif isinstance(each, HoldSpec):
+            own = [Hold(pose, each.hold_s)]
+        else:
+            own, pose = motions(each, pose)
+        segments += own
+        labels += [next(iter(type(each).model_fields))] * len(own)
+        for segment in own:
+            found = problems(limits.bounds, extremes_of(segment, limits))
+            violations += [(("segments", index), text) for _, text in found]
+    if violations:
+        raise PlanError(list(dict.fromkeys(violations)))
+    whole = Round.of(segments)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, tuple(labels), (whole,), None)

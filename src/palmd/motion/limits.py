@@ -259,16 +259,26 @@ class MotionLimits:
         """
         if not all(map(math.isfinite, wanted.angles)):
             return PalmMotion.at_rest(previous.angles)
-        inside = [min(max(angle, low), high) for angle, (low, high) in zip(wanted.angles, self.angles, strict=True)]
-        inside[OPENING] = min(inside[OPENING], self.top - _BELOW - sum(inside[:OPENING]))
+        inside = self._inside(wanted.angles)
         steps = [angle - before for angle, before in zip(inside, previous.angles, strict=True)]
         longest = max(map(abs, steps))
         room = self.rate * dt
-        if tuple(inside) == wanted.angles and longest <= room:
+        if inside == wanted.angles and longest <= room:
             return wanted
         share = 1.0 if longest <= room else room / longest
         clamped = PalmMotion.at_rest(tuple(b + share * step for b, step in zip(previous.angles, steps, strict=True)))
         return clamped._replace(rates=tuple(share * step / dt for step in steps)) if dt > 0.0 else clamped
+
+    def _inside(self, angles: Joints) -> Joints:
+        """Return the nearest joint angles (rad) within the ranges."""
+        inside = clipped(angles, self.angles)
+        opening = min(inside[OPENING], self.top - _BELOW - sum(inside[:OPENING]))
+        return (*inside[:OPENING], opening, *inside[OPENING + 1 :])
+
+
+def clipped(angles: Joints, ends: Iterable[tuple[float, float]]) -> Joints:
+    """Return the joint angles clipped to a range each."""
+    return tuple(min(max(angle, low), high) for angle, (low, high) in zip(angles, ends, strict=True))
 
 
 def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:

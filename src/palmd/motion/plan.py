@@ -24,7 +24,6 @@ from palmd.config.two_palms import (
     DitherSpec,
     LimitsConfig,
     MoveSpec,
-    PalmAngles,
     PlanSpec,
     RateSpec,
     SegmentSpec,
@@ -33,7 +32,7 @@ from palmd.config.two_palms import (
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
-from palmd.motion.limits import MotionLimits, QuantityLimit, problems, ranges
+from palmd.motion.limits import MotionLimits, QuantityLimit, clipped, problems, ranges
 from palmd.motion.segments import (
     PEAK_RATE,
     Angles,
@@ -215,7 +214,7 @@ def home(limits: MotionLimits) -> Angles:
     """Return HOME clipped to the limits; for curved palms, the angles at which a 20 mm radius touches as at HOME."""
     curvatures = limits.curvatures
     wanted = joints_of(HOME_RADIUS_M, HOME, curvatures) if any(curvatures) else HOME
-    return tuple(min(max(angle, low), high) for angle, (low, high) in zip(wanted, limits.angles, strict=True))
+    return clipped(wanted, limits.angles)
 
 
 def _sum(one: Angles, other: Angles) -> Angles:
@@ -244,7 +243,7 @@ class _Compiler:
         self._check_explorations()
         first = self.spec.segments[0]
         lead_in = first.duration_s if isinstance(first, MoveSpec) else 0.0
-        start = _target(first.move, origin) if isinstance(first, MoveSpec) else origin
+        start = target(first.move, origin) if isinstance(first, MoveSpec) else origin
         count = math.inf if self.spec.repeat == "forever" else self.spec.repeat
         rounds: list[Round] = []
         pose, settled = start, False
@@ -294,7 +293,7 @@ class _Compiler:
     def _segment(self, spec: SegmentSpec, pose: Angles) -> tuple[MotionSegment, Angles]:
         """Build one segment from `pose`; return it and its end."""
         if isinstance(spec, MoveSpec):
-            end = _target(spec.move, pose)
+            end = target(spec.move, pose)
             return Move(pose, end, spec.duration_s), end
         if isinstance(spec, RateSpec):
             return self._constant_rate(spec, pose)
@@ -305,10 +304,10 @@ class _Compiler:
         return Exploration(pose, spec.explore), pose
 
     def _constant_rate(self, spec: RateSpec, pose: Angles) -> tuple[ConstantRate, Angles]:
-        rate = _radians(spec.rate)
+        rate = radians(spec.rate)
         axis = next(i for i, angle in enumerate(spec.until.each()) if angle is not None)
         name = JOINTS[axis]
-        until = _target(spec.until, pose)[axis]
+        until = target(spec.until, pose)[axis]
         way, speed = until - pose[axis], rate[axis]
         end = (*pose[:axis], until, *pose[axis + 1 :])
         here = f"it starts at {math.degrees(pose[axis]):.6g}°"
@@ -342,7 +341,7 @@ class _Compiler:
         bounds = self.limits.bounds
         try:
             if segment not in self._known:
-                self._known[segment] = _extremes(segment, self.limits)
+                self._known[segment] = extremes_of(segment, self.limits)
             extremes = self._known[segment]
             beginning = ranges([self.limits.values(segment.at(0.0))])
         except PoseError as error:
@@ -405,13 +404,13 @@ class _Compiler:
         return peaks if fits else (0.0, 0.0, 0.0)
 
 
-def _target(angles: PalmAngles, pose: Angles) -> Angles:
-    """Return the target (rad): the specified angles, and the pose's for those left out."""
-    wanted = zip(angles.each(), pose, strict=True)
-    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in wanted)
+def target(wanted: JointValues, pose: Angles, si: Callable[[float], float] = math.radians) -> Angles:
+    """Return the target: the wanted joint values, converted by `si`, and the pose's for those left out."""
+    each = zip(wanted.each(), pose, strict=True)
+    return tuple(here if value is None else si(value) for value, here in each)
 
 
-def _radians(values: JointValues) -> Angles:
+def radians(values: JointValues) -> Angles:
     """Convert each joint's value from degrees; zero where left out."""
     return tuple(math.radians(degrees or 0.0) for degrees in values.each())
 
@@ -423,7 +422,7 @@ def _label(spec: SegmentSpec) -> str:
 def _sine(spec: SineSpec, pose: Angles) -> Sine:
     return Sine(
         centre=pose,
-        amplitude=_radians(spec.sine),
+        amplitude=radians(spec.sine),
         angular_frequency=tuple(math.tau * each for each in spec.frequency_hz),
         grow=growing_s(spec.frequency_hz, spec.duration_s),
         duration=spec.duration_s,
@@ -442,14 +441,14 @@ def _dither(spec: DitherSpec | None, duration: float) -> Sine | None:
 def _way(start: Angles, end: Angles, limits: MotionLimits) -> tuple[Move, list[tuple[float, float]]]:
     """Return the move with a duration of 1 s, and its extremes; raises PoseError if its path violates the limits."""
     move = Move(start, end, 1.0)
-    extremes = _extremes(move, limits)
+    extremes = extremes_of(move, limits)
     blocked = [text for bound, text in problems(limits.bounds, extremes) if bound.order == 0]
     if blocked:
         raise PoseError("; ".join(blocked))
     return move, extremes
 
 
-def _extremes(segment: MotionSegment, limits: MotionLimits) -> list[tuple[float, float]]:
+def extremes_of(segment: MotionSegment, limits: MotionLimits) -> list[tuple[float, float]]:
     """Return lowest and highest value of each bounded quantity; raises PoseError at a singular pose."""
     return ranges(limits.values(segment.at(t)) for t in segment.sample_times())
 

@@ -47,10 +47,6 @@ class Moves:
     ends: FloatArray
     durations: FloatArray
 
-    def select(self, which: npt.NDArray[np.intp]) -> Moves:
-        """Return the sequences with these numbers."""
-        return Moves(self.start, self.ends[which], self.durations[which])
-
 
 @dataclass(frozen=True, slots=True)
 class Prediction:

@@ -349,16 +349,9 @@ def test_a_jog_that_is_refused_leaves_the_held_plan_in_hand(running):
     assert running.go(0.5).commanded() != before
 
 
-@pytest.mark.parametrize(
-    ("command", "complaint"),
-    [
-        ("start", "it must be tracking or hold"),
-        ("hold", "it must be tracking or hold"),
-        ("jog", "it must be tracking or hold"),
-    ],
-)
-def test_what_needs_an_arm_is_refused_in_ready(ready, command, complaint):
-    assert complaint in ready.ask(command).error
+@pytest.mark.parametrize("command", ["start", "hold", "jog"])
+def test_what_needs_an_arm_is_refused_in_ready(ready, command):
+    assert "it must be tracking or hold" in ready.ask(command).error
     assert ready.state == "ready"
 
 
@@ -822,11 +815,9 @@ def test_a_valid_estimate_that_is_not_finite_is_not_published_as_valid(running):
 def test_a_failed_tick_stops_the_arm_at_once(running):
     running.core.fail(running.t, RuntimeError("broken"))
     assert running.state == "fault"
-    assert running.core.transmit(running.t).startswith(b"P")
-
-
-def test_after_a_failed_tick_the_arm_comes_to_rest(running):
-    running.core.fail(running.t, RuntimeError("broken"))
+    running.written = running.core.transmit(running.t)
+    assert running.written.startswith(b"P")
+    running.world.receive("arm", running.written)
     running.go(0.5)
     assert running.last("palm/motion")["arm_state"] == "R"
 

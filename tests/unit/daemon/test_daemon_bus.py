@@ -247,19 +247,6 @@ def test_each_topic_counts_for_itself(rig):
     assert seen == [0, 1, 2]
 
 
-def test_what_cannot_be_packed_spoils_no_message_after_it(rig):
-    client = rig.client(zmq.SUB, rig.publish)
-    client.subscribe(b"")
-    until_subscribed(client, lambda: rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0))
-    with pytest.raises(TypeError):
-        rig.bus.publish(STATE, {"texts": ["begun"] * 100, "of": object()}, 0.0, 0.0)
-    rig.bus.publish(STATE, state_fields("hold", []), 0.0, 0.0)
-    topic = b""
-    while topic != b"palm/state":
-        topic, payload, _ = client.recv_multipart()
-    assert msgpack.unpackb(payload)["state"] == "hold"
-
-
 def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")

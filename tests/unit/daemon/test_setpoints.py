@@ -63,16 +63,6 @@ def test_stands_where_the_arm_is():
     assert all(motion.angles[0] == pytest.approx(HERE.angles[0]) for motion in Drive().go(0.2))
 
 
-def test_runs_a_plan_to_its_end():
-    drive = Drive()
-    drive.setpoints.start(trajectory())
-    assert drive.setpoints.moving
-    motions = drive.go(3.0)
-    assert math.degrees(motions[-1].angles[0]) == pytest.approx(60.0)
-    assert not drive.setpoints.moving
-    assert drive.setpoints.interventions == 0
-
-
 def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
     drive = Drive()
     drive.setpoints.start(trajectory())
@@ -82,19 +72,6 @@ def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
     monkeypatch.setattr(drive.setpoints._executor, "advance", lambda _t: outside)
     drive.go(CYCLE)
     assert drive.setpoints.violated
-
-
-def test_hold_waits_and_resume_goes_on():
-    drive = Drive()
-    drive.setpoints.start(trajectory())
-    drive.go(0.4)
-    drive.setpoints.hold()
-    drive.go(0.3)
-    a, *_, b = drive.go(0.2)
-    assert a.angles[0] == b.angles[0]
-    assert drive.setpoints.held
-    drive.setpoints.resume()
-    assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
 def test_a_freeze_ends_by_itself_but_not_under_a_hold():
@@ -225,13 +202,6 @@ def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
     reached = [way * (GEOMETRY.arm_pose(motion.angles)[axis] - here) for motion in drive.go(4.0)]
     assert max(reached) <= 0.002
     assert drive.setpoints.violated
-
-
-def test_whether_a_plan_is_under_way_is_yes_or_no():
-    drive = Drive()
-    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.held) == (False, False, False)
-    drive.setpoints.start(trajectory())
-    assert (drive.setpoints.moving, drive.setpoints.running, drive.setpoints.over) == (True, True, False)
 
 
 def test_after_leaving_there_is_no_target():

@@ -143,7 +143,7 @@ def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.Monk
     monkeypatch.setattr(smoothing, "worker_socket", clock.worker_socket)
     monkeypatch.setattr(smoothing, "time", clock)
     with pytest.raises(Clock.OverError):
-        smoothing.work("", lambda *_: None, clock.answer, lambda: 0.1)
+        smoothing.work("", lambda *_: None, clock.answer, list, lambda: 0.1)
     first, second, *_ = clock.answered
     assert second - (first + 1.0 + others_s) == pytest.approx(paused_s, abs=0.06)
 
@@ -157,7 +157,7 @@ def test_memory_is_given_back_after_an_answer_and_not_beside_a_thought(monkeypat
         given.clear()
         clock.said, clock.waited = said, 0
         with pytest.raises(Clock.OverError):
-            smoothing.work("", lambda *_: None, clock.answer, lambda: 0.1)
+            smoothing.work("", lambda *_: None, clock.answer, list, lambda: 0.1)
         assert given == ([] if said is None else clock.sent)
 
 

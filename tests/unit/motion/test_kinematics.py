@@ -7,7 +7,6 @@ import math
 
 import pytest
 
-from palmd.config.two_palms import Config
 from palmd.events import PalmMotion
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 
@@ -68,11 +67,6 @@ def test_tip_speed_and_acceleration_are_the_derivatives_of_the_position() -> Non
     speed, acceleration = GEOMETRY.tip_speed_acceleration(PalmMotion(pose(0.0), (0.9, -0.7), (-3.0, 4.0)))
     assert speed == pytest.approx(math.hypot(x2 - x0, y2 - y0) / (2 * h), rel=1e-5)
     assert acceleration == pytest.approx(math.hypot(x2 - 2 * x1 + x0, y2 - 2 * y1 + y0) / h**2, rel=1e-5)
-
-
-def test_from_config_converts_to_si() -> None:
-    geometry = RigGeometry.from_config(Config.model_validate(PORTS))
-    assert geometry == GEOMETRY
 
 
 def test_wrapped_is_half_open() -> None:

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from plain_rollouts import PlainPredictor
 
 from palmd.config.two_palms import LimitsConfig
 from palmd.events import PalmMotion
@@ -221,28 +220,6 @@ def test_what_is_known_of_the_rig_is_foreseen_with():
     off[[R.TILT, R.TURN, R.FRICTION, R.KAPPA]] = tilt, turn, asymmetry, -1.0
     mine.correct(off)
     np.testing.assert_allclose(mine.of(state, moves).psi[0], ends[:, 0], atol=3e-3)
-
-
-@pytest.mark.parametrize("elapsed", [0.0, 0.3])
-@pytest.mark.parametrize("horizon_s", [math.inf, 1.5])
-def test_the_compiled_predictor_is_its_twin_in_numpy(elapsed, horizon_s):
-    """Sequences of all lengths, some of which lose the object; their columns change places."""
-    random = np.random.default_rng(4)
-    _, _, _, state = thing("rig", 3)
-    n, k = 37, 4
-    states = np.tile(state, (n, 1))
-    states[:, shape_map.Z.PSI] += 0.2 * random.standard_normal(n)
-    ends = START + 0.5 * random.standard_normal((n, k, 2))
-    moves = Moves(START, ends, CALL_S * random.integers(3, 20, (n, k)))
-    rig = rig_inputs(RigDescription())
-    mine, twin = RolloutPredictor(rig), PlainPredictor(rig)
-    got, wanted = (each.of(states, moves, elapsed, horizon_s) for each in (mine, twin))
-    assert (wanted.least_force < 0.0).any()
-    assert (wanted.least_force > 0.0).any()
-    for name in type(got).__slots__:
-        a, b = getattr(got, name), getattr(wanted, name)
-        assert a.shape == b.shape, name
-        np.testing.assert_array_equal(a, b, err_msg=name)
 
 
 def test_more_moves_than_there_is_room_for_are_refused():

@@ -29,7 +29,6 @@ class PlausibilityGuard:
 
     def __init__(self, limits: FollowingLimits, scale: JointScale) -> None:
         self._limits, self._scale = limits, scale
-        self.total = 0
         self.reason = ""
         self._bad = 0
         self._t_bad = math.inf
@@ -76,7 +75,6 @@ class PlausibilityGuard:
                 self._errors, self._t_errors = errors, t
             self._twist = twist if self._twist is None else self._twist
             return True
-        self.total += 1
         self._bad += 1
         self._t_bad = min(self._t_bad, t)
         self._last_words = f"the arm reports {describe_pose(pose)}: {words}"
