@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -20,11 +19,9 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import DISTRUSTED_S, SETTLED
 from palmd.observer.filter_catchup import LATEST_S, LEAD_S, FilterCatchUp
-from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import outline_sd
 from palmd.observer.incremental import IncrementalSmoother
-from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
 from palmd.observer.validity import CONFIRMED_M, CONTRADICTED_M
@@ -281,7 +278,8 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
         assert newcomer.active
     x, P, nis = newcomer.state_at(until)
 
-    filters, palms = ShapeFilters(run.rig, 1, order=ORDER), PalmTracker(run.rig.palm_angle_noise)
+    filters = ShapeFilters(run.rig, 1, order=ORDER)
+    palms = filters.tracker(run.rig.palm_angle_noise)
     filters.bank.refill()
     filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
     filters.rig_error.values[:] = improvement.rig
@@ -292,12 +290,10 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
             palms.feed(event)
         if isinstance(event, PadSample) and event.t_sample >= improvement.t:
             reading = filters.rig_error.on_time(event)
-            steps = math.ceil((reading.t_sample - t) / LONGEST_STEP_S)
-            for begin, end in itertools.pairwise(np.linspace(t, reading.t_sample, steps + 1)):
-                filters.predict(begin, end - begin, palms)
+            filters.propagate(t, reading.t_sample, palms, math.inf)
             t = reading.t_sample
             filters.fuse_pad(reading, variance, palms, palms.repeated)
-    filters.predict(t, until - t, palms)
+    filters.propagate(t, until, palms, math.inf)
     sd = np.sqrt(np.diagonal(P))
     assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
     np.testing.assert_allclose(np.sqrt(np.diagonal(filters.bank.P[0])), sd, rtol=1e-3)
