@@ -72,9 +72,8 @@ def test_without_a_gate_every_defect_is_noise():
 
 
 def a_fit(**but: float) -> Fit:
-    fit = Fit(Guess(np.zeros((2, NODE)), np.zeros(sharp.CONSTANTS)), ProcessNoise(1.0, 1.0), 100.0, 1.0, 1.0,
-              0.1, 10.0, 0.0, 0, 5, True)  # fmt: skip
-    return replace(fit, **but)
+    guess = Guess(np.zeros((2, NODE)), np.zeros(sharp.CONSTANTS))
+    return replace(Fit(100.0, 1.0, 1.0, 0.1, 10.0, 0.0, 0, guess, ProcessNoise(1.0, 1.0), 5, True), **but)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +259,7 @@ def test_rides_are_told_together_and_a_narrower_side_gives_less():
     assert score_outline(directions(), sharp.support(directions(), guess.p), touched, run.truth.h).e_h < 5e-5
     residuals = Residuals(sharp.library_for(1), record)
     wider = narrowed(guess, record, ride.palm, 2.0 * math.exp(guess.p[sharp.WIDTH]))
-    assert np.abs(residuals.contacts(wider) - residuals.contacts(guess)).max() < 0.5
+    assert np.abs(residuals.residuals(wider) - residuals.residuals(guess)).max() < 0.5
     assert np.abs(guess.x - palm_turn(record, ride.palm))[:, 0].max() < 0.01
     assert abs(math.remainder(guess.p[sharp.NORMALS] - initial_normal(record, ride.palm), math.tau)) < 0.01
 
@@ -315,7 +314,7 @@ def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
     assert left.x[0, 0] == 0.0
     ends = np.searchsorted(record.t, np.array(part.spans) - 1e-9)
     inside = np.logical_or.reduce([(record.contact_step >= i) & (record.contact_step < j) for i, j in ends])
-    whole, parts = (Residuals(sharp.library_for(1), each).contacts(g) for each, g in ((record, guess), (part, left)))
+    whole, parts = (Residuals(sharp.library_for(1), each).residuals(g) for each, g in ((record, guess), (part, left)))
     assert parts == pytest.approx(whole[inside], abs=1e-5)
 
 
