@@ -23,7 +23,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import outline_sd
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.smoother_link import MEMORY_S
-from palmd.observer.smoothing import Session, period
+from palmd.observer.smoothing import Session
 from palmd.observer.validity import CONFIRMED_M, CONTRADICTED_M
 from palmd.system.description import HingeMode, RigDescription
 
@@ -300,18 +300,6 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     assert 0.5 < nis < 1.5
 
 
-def test_improvements_are_sharper_the_more_was_read(answers: Answers) -> None:
-    theta = np.linspace(0.0, 2 * np.pi, 90)
-    spreads = []
-    for end in (2.0, 4.0, 6.0):
-        improvement = answers(end)
-        assert improvement is not None
-        assert improvement.t == pytest.approx(end, abs=0.05)
-        rows = shape.basis(theta, ORDER)
-        spreads.append(float(np.sqrt(np.einsum("ij,jk,ik->i", rows, improvement.P[6:, 6:], rows)).min()))
-    assert spreads[0] > spreads[1] > spreads[2]
-
-
 def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
     smoothing = Scripted(math.inf, None)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
@@ -323,12 +311,6 @@ def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
     assert len(watcher._link._recent) <= 100 * MEMORY_S
     assert smoothing.count == 2000
     assert watcher.late_dropped == 2
-
-
-def test_the_smoother_runs_ever_more_rarely() -> None:
-    assert period(0.5) == 0.25
-    assert period(8.0) == 1.0
-    assert period(60.0) == 2.0
 
 
 def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:
