@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from palms import palm_sample
-from simulated import simulated
+from simulated import simulated, watched
 
 from palmd import observer
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmSample
@@ -38,13 +38,7 @@ def _run(kind: str, seed: int, duration_s: float) -> tuple[RigDescription, list[
 
 
 def _replay(watcher: BankObserver, events: list[Event], t0: float = 0.0) -> list[Estimate]:
-    estimates, tick = [], t0 + 0.01
-    for event in events:
-        while tick < event.t_sample:
-            estimates.append(watcher.estimate(tick))
-            tick += 0.01
-        watcher.feed(event)
-    return estimates
+    return list(watched(watcher, events, since=t0))
 
 
 def _errors(estimates: list[Estimate], truth: dict, name: str) -> np.ndarray:
@@ -309,17 +303,13 @@ def test_no_valid_outline_is_hollow() -> None:
     rig, events, _ = _run("odd", 111, 10.0)
     watcher = observer.make("shape", rig)
     valid = 0
-    tick = 0.01
-    for event in events:
-        while tick < event.t_sample:
-            if watcher.estimate(tick).valid:
-                valid += 1
-                shape = watcher.shape(tick)
-                spectrum = np.fft.rfft(shape.h)
-                v = np.fft.irfft(spectrum * (1 - np.arange(len(spectrum)) ** 2.0), len(shape.h))
-                assert v.min() > -2e-4, "between the 72 normals looked at"
-            tick += 0.01
-        watcher.feed(event)
+    for estimate in watched(watcher, events):
+        if estimate.valid:
+            valid += 1
+            shape = watcher.shape(estimate.t)
+            spectrum = np.fft.rfft(shape.h)
+            v = np.fft.irfft(spectrum * (1 - np.arange(len(spectrum)) ** 2.0), len(shape.h))
+            assert v.min() > -2e-4, "between the 72 normals looked at"
     assert valid > 100
 
 

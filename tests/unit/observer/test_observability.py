@@ -6,18 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from palms import palm_sample
+from simulated import simulated, watched
 
 from palmd import observer
 from palmd.config.two_palms import PlanSpec
-from palmd.events import PadSample, PalmMotion
+from palmd.events import PalmMotion
 from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer.observability import Observability, scaled_singular_value
 from palmd.observer.prior import FRICTION_SD, blind_start, shape_map_sd
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
-from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED
@@ -182,16 +181,8 @@ def test_a_gap_between_samples_ends_the_window() -> None:
 
 @pytest.mark.parametrize("name", ["shape", "extended"])
 def test_it_is_finite_in_every_valid_tick_after_the_first_second_and_nan_before(name: str) -> None:
-    watcher = observer.make(name, RigDescription(hinge="fixed"))
-    tick, seen = 0.01, []
-    for line in simulate_log("nominal", 107, 4.0)[0][1:]:
-        while tick < line["t"]:
-            seen.append(watcher.estimate(tick))
-            tick += 0.01
-        if "pad" in line:
-            watcher.feed(PadSample(line["t"], line["pad"], line["s_m"]))
-        else:
-            watcher.feed(palm_sample(line))
+    run = simulated("nominal", 107, 4.0)
+    seen = list(watched(observer.make(name, run.rig), run.events))
     assert all(math.isnan(e.observability) for e in seen if e.t < 1.0)
     assert all(math.isfinite(e.observability) for e in seen if e.t > 1.13)
     assert any(e.valid for e in seen if e.t > 1.13)

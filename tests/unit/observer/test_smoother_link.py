@@ -11,7 +11,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from improvements import improvement
-from simulated import Run, simulated, swapped
+from simulated import Run, simulated, swapped, watched
 
 from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, Unexplained
@@ -30,7 +30,6 @@ from palmd.system.description import HingeMode, RigDescription
 Answers = Callable[[float], Improvement | None]
 
 KIND, SEED = "rig", 4
-TICK_S = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -101,15 +100,7 @@ def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improveme
 
 def ticks(run: Run, watcher: observer.Observer) -> Iterator[tuple[float, Estimate]]:
     """A causal replay."""
-    waiting = iter(run.events)
-    event = next(waiting, None)
-    for number in range(1, round(run.events[-1].t_sample / TICK_S) + 1):
-        t = number * TICK_S
-        while event is not None and event.t_sample <= t:
-            watcher.feed(event)
-            event = next(waiting, None)
-        watcher.improve(t)
-        yield t, watcher.estimate(t)
+    return ((estimate.t, estimate) for estimate in watched(watcher, run.events, run.events[-1].t_sample))
 
 
 def radii(run: Run, t: float) -> FloatArray:
