@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
+from palmd.observer.observer import LiveObserver
 from palmd.record.eventlog import read_log
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
@@ -20,6 +23,8 @@ from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED, Vibration
 from tools.studies.bound import Truth
+
+TICK_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,21 @@ def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tupl
     late = [event for event in second.events if is_pad(event) and event.t_sample >= at + gap]
     early = [event for event in first.events if not is_pad(event) or event.t_sample < at]
     return first, second, tuple(sorted([*early, *late], key=lambda event: event.t_sample))
+
+
+def watched(
+    watcher: LiveObserver, events: Sequence[Event], until: float | None = None, since: float = 0.0
+) -> Iterator[Any]:
+    """Estimates every 10 ms of an observer that is fed the events as they happen: to the last, or until `until` (s)."""
+    waiting = deque(events)
+    for tick in range(1, round(((events[-1].t_sample if until is None else until) - since) / TICK_S) + 1):
+        t = since + tick * TICK_S
+        while waiting and waiting[0].t_sample <= t + 1e-9:
+            watcher.feed(waiting.popleft())
+        watcher.improve(t)
+        yield watcher.estimate(t)
+    for event in waiting if until is None else ():
+        watcher.feed(event)
 
 
 def is_pad(event: Event) -> bool:

@@ -16,7 +16,7 @@ from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, offsets
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step, variance_share
-from palmd.model.kernels import Kernel, of_columns, single
+from palmd.model.kernels import Kernel, first_output, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
 from palmd.model.symbolic import SX, ca
@@ -157,13 +157,6 @@ def named_function() -> ca.Function:
     return ca.Function("named", [x, u], [y, ca.jacobian(y, x)], ["x", "u"], ["y", "J"])
 
 
-def values_function() -> ca.Function:
-    """(x, [α1, α2, rig]) → values of `NAMED` without the Jacobian."""
-    named = named_function()
-    x, u = SX.sym("x", N), SX.sym("u", 2 + RIG_INPUTS)
-    return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
-
-
 def outline_function() -> ca.Function:
     """x → Fourier coefficients of h and their Jacobian by x.
 
@@ -194,8 +187,9 @@ def library() -> Library:
 
     def kernels() -> list[Kernel]:
         updates = (update_function(f"update_{s.name.lower()}", s) for s in MEASURED)
-        functions = [predict_function(), *updates, values_function()]
+        named = named_function()
+        functions = [predict_function(), *updates, first_output(named, "values")]
         banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
-        return [*banks, *map(single, (functions[0], named_function(), outline_function()))]
+        return [*banks, *map(single, (functions[0], named, outline_function()))]
 
     return load("extended", kernels)

@@ -1,8 +1,8 @@
 """The law of dry friction on palms that vibrate along themselves (docs/theory/vibration.md; sections refer to it).
 
 The normal forces alternate with the signs of slip, so the rigid contact equations are solved for each pair of
-signs and averaged, weighted by each pair's share of time. Every function takes CasADi expressions, or NumPy arrays if
-`xp` is numpy. Safe inside the loop: nothing allocates but arrays, nothing raises.
+signs and averaged, weighted by each pair's share of time. Functions take CasADi expressions, or NumPy arrays if their
+argument `xp` is numpy. Safe inside the loop: nothing allocates but arrays, nothing raises.
 """
 
 from __future__ import annotations
@@ -91,14 +91,14 @@ def sign_shares(sigma: Sequence[Any], kappa: Any, lag: Any = 0.0, xp: Any = ca) 
 
 
 def normal_forces(
-    A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], friction: Sequence[Any], xp: Any = ca
+    A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], friction: Sequence[Any]
 ) -> tuple[Any, Any]:
     """Solve (A − B diag(friction)) f = b for f1, f2 (section 1); friction: μ_i times the slip direction at contact i.
 
     The determinant is bounded below by `LEAST_DETERMINANT` times the one without friction, as if not wedged.
     """
     (m11, m12), (m21, m22) = matrix = _with(A, B, friction)
-    determinant = xp.fmax(_determinant(matrix), LEAST_DETERMINANT * _determinant(A))
+    determinant = ca.fmax(_determinant(matrix), LEAST_DETERMINANT * _determinant(A))
     return (b[0] * m22 - b[1] * m12) / determinant, (m11 * b[1] - m21 * b[0]) / determinant
 
 
@@ -116,10 +116,10 @@ def wedged(A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], friction: Seq
 
 
 def sign_pair_forces(
-    A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], mu: Sequence[Any], xp: Any = ca
+    A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], mu: Sequence[Any]
 ) -> tuple[tuple[Any, ...], ...]:
     """Return f1, f2 for each of `SIGN_PAIRS` (section 1), mu of each palm; negative where a contact would pull."""
-    return tuple(normal_forces(A, B, b, friction, xp) for friction in _by_pair(mu))
+    return tuple(normal_forces(A, B, b, friction) for friction in _by_pair(mu))
 
 
 def _by_pair(mu: Sequence[Any]) -> list[list[Any]]:
@@ -127,7 +127,7 @@ def _by_pair(mu: Sequence[Any]) -> list[list[Any]]:
 
 
 def effective_directions(
-    forces: Sequence[Sequence[Any]], sigma: Sequence[Any], shares: Sequence[Any], transmission: Any, xp: Any = ca
+    forces: Sequence[Sequence[Any]], sigma: Sequence[Any], shares: Sequence[Any], transmission: Any
 ) -> tuple[Any, Any]:
     """Return directions for which one solve gives the mean: σ_i + λ (σ_eff,i − σ_i), σ_eff,i = E[s_i f_i]/E[f_i].
 
@@ -137,7 +137,7 @@ def effective_directions(
     mean, along = [LEAST_FORCE, LEAST_FORCE], [0.0, 0.0]
     for share, signs, pressed in zip(shares, SIGN_PAIRS, forces, strict=True):
         for i, (force, sign) in enumerate(zip(pressed, signs, strict=True)):
-            part = share * xp.fmax(force, 0)
+            part = share * ca.fmax(force, 0)
             mean[i], along[i] = mean[i] + part, along[i] + sign * part
     one, two = (s + transmission * (a / m - s) for s, a, m in zip(sigma, along, mean, strict=True))
     return one, two
@@ -175,13 +175,13 @@ def drives(
     return one, two
 
 
-def softened_speeds(speed: Any, drive: Sequence[Sequence[Any]], xp: Any = ca) -> tuple[Any, Any]:
+def softened_speeds(speed: Any, drive: Sequence[Sequence[Any]]) -> tuple[Any, Any]:
     """Return V/√(1 + a_i²/V²) for each contact, a_i² = (D_ii² + D_ij²/3)/16: in slow slip the ripple acts like this V.
 
     A ripple of a_i makes the mean direction steeper at u = 0, as if V were √(V² − a_i²); this agrees with it to second
     order and does not jump where the ripple begins to stick.
     """
-    one, two = (speed / xp.sqrt(1 + (drive[i][i] ** 2 + drive[i][1 - i] ** 2 / 3) / (4 * speed) ** 2) for i in range(2))
+    one, two = (speed / ca.sqrt(1 + (drive[i][i] ** 2 + drive[i][1 - i] ** 2 / 3) / (4 * speed) ** 2) for i in range(2))
     return one, two
 
 

@@ -1,9 +1,9 @@
 /* The computations of a bank of shape maps between two decisions: the palms' motion, readings corrected for the rig's
    errors, prediction, update, gates and scores, and late events fused in the order of their times.
 
-   The twin of `observer.palms`, `observer.rig_error`, `observer.bank`, `observer.history` and
-   `observer.filters.shape_map`, which document what is computed, and why; they must use the sizes below. Arrays belong to
-   the caller; nothing is kept here. Kernels are passed by address, so that one file serves banks of any size and order. */
+   `observer.palms`, `observer.rig_error`, `observer.bank` and `observer.history` document what is computed, and why;
+   `observer.compiled_fusion` must use the sizes below. Arrays belong to the caller; nothing is kept here. Kernels are
+   passed by address, so that one file serves banks of any size and order. */
 
 #include <math.h>
 #include <string.h>

@@ -50,9 +50,19 @@ class Kernel:
 
 def densified(function: ca.Function) -> ca.Function:
     """Return the function with dense inputs and outputs, for plain arrays, and common subexpressions eliminated."""
-    inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
+    inputs = _inputs(function)
     outputs = ca.cse([ca.densify(out) for out in function.call(inputs)])
     return ca.Function(function.name(), inputs, outputs, function.name_in(), function.name_out())
+
+
+def first_output(function: ca.Function, name: str) -> ca.Function:
+    """Return the function `name` of the same inputs with the first output only."""
+    inputs = _inputs(function)
+    return ca.Function(name, inputs, [function(*inputs)[0]], function.name_in(), [function.name_out(0)])
+
+
+def _inputs(function: ca.Function) -> list[ca.SX]:
+    return [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
 
 
 def single(function: ca.Function) -> Kernel:

@@ -75,17 +75,9 @@ class Lying:
         sign = 1.0 if palm else -1.0
         return -(self._lever(self.slope, palm) + sign * self.h[palm])
 
-    def kept_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
-        """dQ/dψ (m/rad) of the outline `shape_of`."""
-        slope: FloatArray = self.kept_turned(palm) @ shape_of
-        return slope
-
     def kept_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
         """dQ/dφ2 (m/rad) at constant φ1 and ψ; `standoffs`: of the palms' surfaces (m)."""
-        turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
-        moved = turned / np.sin(self.palms[:, OPENING, None]) + palm * self.h[1]
-        opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
-        return opened
+        return self._opened(palm, self.h[1], shape_of, standoffs)
 
     def contact(self, palm: int) -> FloatArray:
         """Rows that map the coefficients to s of a palm; (3.13), (3.14)."""
@@ -97,17 +89,9 @@ class Lying:
         sign = 1.0 if palm else -1.0
         return -(self._lever(self.slope, palm) - sign * self.bend(palm))
 
-    def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
-        """ds/dψ (m/rad) of the outline `shape_of`."""
-        slope: FloatArray = self.contact_turned(palm) @ shape_of
-        return slope
-
     def contact_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
         """ds/dφ2 (m/rad) at constant φ1 and ψ, as in `kept_opened`."""
-        turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
-        moved = turned / np.sin(self.palms[:, OPENING, None]) - palm * self.bend(1)
-        opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
-        return opened
+        return self._opened(palm, -self.bend(1), shape_of, standoffs)
 
     def standing_off(self, palm: int) -> FloatArray:
         """Rows (n, 2) that map the palms' standoffs (m) to their contribution to Q and s of a palm."""
@@ -115,13 +99,15 @@ class Lying:
         own, other = np.cos(opening) / np.sin(opening), 1.0 / np.sin(opening)
         return np.stack([other, own] if palm else [own, other], axis=1)
 
-    def _closing(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
-        """−∂/∂φ2 of (own cos φ2 + other)/sin φ2, with both distances from the hinge lines held constant."""
+    def _opened(self, palm: int, moved: FloatArray, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+        """Derivative by φ2; moved: rows of ∂/∂θ2 of what is added to the lever on palm 2."""
+        opening = self.palms[:, OPENING]
+        rows = self.slope[1] * np.cos(opening[:, None]) ** palm / np.sin(opening[:, None]) + palm * moved
+        # the derivative of (own cos φ2 + other)/sin φ2 with both distances from the hinge lines held constant
         one, two = (rows @ shape_of + off for rows, off in zip(self.h, standoffs.tolist(), strict=True))
         own, other = (two, one) if palm else (one, two)
-        opening = self.palms[:, OPENING]
-        closing: FloatArray = (own + other * np.cos(opening)) / np.sin(opening) ** 2
-        return closing
+        opened: FloatArray = rows @ shape_of - (own + other * np.cos(opening)) / np.sin(opening) ** 2
+        return opened
 
     def _lever(self, rows: tuple[FloatArray, FloatArray], palm: int) -> FloatArray:
         opening = self.palms[:, OPENING, None]

@@ -12,10 +12,9 @@ from functools import cache
 from palmd.model.compiled import Library, load
 from palmd.model.contact import readings, tangent_joints
 from palmd.model.dynamics import Palms, newton_euler
-from palmd.model.integrate import exponential_step
 from palmd.model.kernels import of_columns
 from palmd.model.outputs import CURVATURE_INPUTS, RIG_INPUTS, touch_on
-from palmd.model.shape_map import N, Z, body_of, contacts_of, motion_of, spin_acceleration
+from palmd.model.shape_map import N, Z, body_of, contacts_of, step_of
 from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import OPENING, normal_directions
 
@@ -56,13 +55,7 @@ def _step_function(curved: bool) -> ca.Function:
     x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
     touch = touch_on(rig, curved, ca.vertsplit(s))
 
-    def rates(moving: SX, t: SX) -> SX:
-        state = ca.vertcat(moving, x[2:])
-        return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_on(move, t), rig, touch))
-
-    at_start = motion_of(x, palms_on(move, SX(0)), rig, touch)
-    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
-    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
+    moving, _, at_start, _ = step_of(x, SX(STEP_S), lambda t: palms_on(move, t), rig, touch)
     (alpha0_at_start,) = touch.thawed(at_start.alpha0)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     touch = touch_on(rig, curved, ca.vertsplit(s))  # a new search for the contacts after the step

@@ -11,19 +11,9 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import readings
-from palmd.model.integrate import exponential_step
 from palmd.model.kernels import single
 from palmd.model.outputs import touch_on
-from palmd.model.shape_map import (
-    PALM_INPUTS,
-    PREDICTION_INPUTS,
-    N,
-    Z,
-    contacts_of,
-    motion_of,
-    palms_after,
-    spin_acceleration,
-)
+from palmd.model.shape_map import PALM_INPUTS, PREDICTION_INPUTS, N, contacts_of, palms_after, step_of
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 
@@ -48,13 +38,7 @@ def gather_function(curved: bool = False) -> ca.Function:
         row = ca.jacobian(reading, x) @ transition
         G_next = G_next + weight * (row.T @ row)
 
-    def rates(moving: SX, t: SX) -> SX:
-        state = ca.vertcat(moving, x[MOVING:])
-        return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
-
-    at_start = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
-    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
-    _, J = exponential_step(rates, x, u[0], [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
+    _, J, _, _ = step_of(x, u[0], lambda t: palms_after(palms, jerk, t), rig, touch)
     outputs = [J @ transition, *touch.thawed(G_next)]
     return ca.Function("gather", [x, T, G, u], outputs, ["x", "T", "G", "u"], ["T_next", "G_next"])
 

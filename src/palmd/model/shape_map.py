@@ -6,6 +6,7 @@ revisit improves its estimate. Only ψ and ω0 vary; s1, s2 are explicit functio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from functools import cache
 
@@ -13,7 +14,7 @@ from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step, variance_share
-from palmd.model.kernels import Kernel, of_columns, single
+from palmd.model.kernels import Kernel, first_output, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
 from palmd.model.shape import HARMONICS, contact_at
 from palmd.model.symbolic import SX, ca
@@ -72,9 +73,20 @@ def motion_of(x: SX, palms: Palms, rig: SX, touch: Touch) -> Motion:
     return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig)
 
 
-def spin_acceleration(x: SX, palms: Palms, rig: SX, touch: Touch) -> SX:
-    """Return α0 (rad/s²) of a state."""
-    return motion_of(x, palms, rig, touch).alpha0
+def step_of(x: SX, dt: SX, palms_at: Callable[[SX], Palms], rig: SX, touch: Touch) -> tuple[SX, SX, Motion, SX]:
+    """Return (ψ, ω0) after dt, its Jacobian by x, and at the start the motion and the rate of ω0 (1/s) by friction.
+
+    `palms_at`: the palms' motion at a time into the step.
+    """
+
+    def rates(moving: SX, t: SX) -> SX:
+        state = ca.vertcat(moving, x[2:])
+        return ca.vertcat(moving[Z.OMEGA0], motion_of(state, palms_at(t), rig, touch).alpha0)
+
+    at_start = motion_of(x, palms_at(SX(0)), rig, touch)
+    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
+    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
+    return moved, J, at_start, braking
 
 
 def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
@@ -83,14 +95,7 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
     x, P, u = SX.sym("x", n), SX.sym("P", n, n), SX.sym("u", PREDICTION_INPUTS)
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
     touch = touch_on(rig, curved)
-
-    def rates(moving: SX, t: SX) -> SX:
-        state = ca.vertcat(moving, x[2:])
-        return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
-
-    at_start = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
-    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
-    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
+    moved, J, at_start, braking = step_of(x, dt, lambda t: palms_after(palms, jerk, t), rig, touch)
     x_next = ca.vertcat(moved, x[2:])
     (discrepancy,) = touch.thawed(at_start.discrepancy * variance_share(braking, dt))
     # only two rows of the transition differ from the identity
@@ -138,13 +143,6 @@ def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
     return ca.Function("named", [x, u], touch.thawed(y, J), ["x", "u"], ["y", "J"])
 
 
-def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
-    """(x, [φ1 … α2, rig]) → values of `NAMED` without the Jacobian."""
-    named = named_function(order, curved)
-    x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
-    return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
-
-
 @cache
 def library(order: int = HARMONICS, curved: bool = False) -> Library:
     """Load kernels for blocks of shape maps (`_block`) and for one: predict, update_s1, update_s2, values; named.
@@ -154,9 +152,10 @@ def library(order: int = HARMONICS, curved: bool = False) -> Library:
 
     def kernels() -> list[Kernel]:
         pads = [update_function(name, pad, order, curved) for pad, name in zip(PALMS, UPDATES, strict=True)]
-        functions = [predict_function(order, curved), *pads, values_function(order, curved)]
+        named = named_function(order, curved)
+        functions = [predict_function(order, curved), *pads, first_output(named, "values")]
         banks = [of_columns(f, f"{f.name()}_block", [f.name_in(f.n_in() - 1)]) for f in functions]
-        return [*banks, *map(single, functions), single(named_function(order, curved))]
+        return [*banks, *map(single, (*functions, named))]
 
     name = ("shape_map" if order == HARMONICS else f"shape_map{order}") + ("_curved" if curved else "")
     return load(name, kernels, written=["fusion.c"])

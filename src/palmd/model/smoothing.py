@@ -17,7 +17,7 @@ from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, alongs, readings, tangent_joints
 from palmd.model.dynamics import VIBRATION_ERROR_INPUTS, BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step, variance_share
-from palmd.model.kernels import Kernel, of_columns, single
+from palmd.model.kernels import Kernel, first_output, of_columns, single
 from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
@@ -245,10 +245,8 @@ def force_function(form: Form = SMOOTH) -> ca.Function:
 
 def _kernels(form: Form) -> list[Kernel]:
     step = step_function(form)
-    x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
-    advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
     batched = (step, discrepancy_function(form), contact_function(form), force_function(form))
-    return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(advance)]
+    return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(first_output(step, "advance"))]
 
 
 @cache

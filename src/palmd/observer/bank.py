@@ -11,7 +11,6 @@ import ctypes
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +18,6 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, BoundCall, Library
 from palmd.observer.cutoff import cut_off
-
-if TYPE_CHECKING:
-    from palmd.observer.compiled_fusion import CompiledBank
 
 GATE = 16.0  # normalised innovation squared above which a reading is an outlier: 4σ
 SCORE_MEMORY_S = 2.0  # s; with a longer memory a filter that was likely early still leads after it has diverged
@@ -59,20 +55,14 @@ class Bank:
     """
 
     def __init__(
-        self,
-        library: Library,
-        size: int,
-        n: int,
-        updates: Mapping[str, int],
-        inputs: tuple[int, int, int],
+        self, library: Library, size: int, n: int, updates: Mapping[str, int], inputs: tuple[int, int, int],
         memory_s: float = SCORE_MEMORY_S,
-    ):
+    ):  # fmt: skip
         """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
 
         `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores decay
         with the time constant `memory_s`. A bank of one filter uses the kernels for a single filter.
         """
-        self.compiled: CompiledBank | None = None  # the C implementation of methods that are written in NumPy here
         self.block = 1 if size == 1 else LANES
         suffix = "" if size == 1 else "_block"
         blocks = math.ceil(size / self.block)
@@ -115,10 +105,6 @@ class Bank:
     def _side(self) -> int:
         """Index of the current arrays; kernels write into the other side's, which then become current."""
         return self._now[0]
-
-    def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, FloatArray, Any]:
-        """The arrays that C works on: both sides' x and P, scores, mean NIS, outcomes, values; side and blocks."""
-        return self._x, self._P, self._score, self._nis, self._outcome, self._y, self._now
 
     def members(self, block: int) -> slice:
         """The filters of one block."""
@@ -199,9 +185,6 @@ class Bank:
         the constants is fused again with the information that this removed from it. Takes a tenth of a millisecond:
         call it now and then, not for every event.
         """
-        if self.compiled is not None:
-            self.compiled.fade(block, fraction, prior)
-            return
         members = self.members(block)
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
@@ -220,8 +203,6 @@ class Bank:
         Mean and variance become exactly those of the normal distribution truncated at 0. Returns whether all filters
         satisfied the constraint already. A few microseconds if so, else some 20 µs for each filter.
         """
-        if self.compiled is not None:
-            return self.compiled.impose_nonnegative(block, rows)
         members = self.members(block)
         x, P = self.x[members], self.P[members]
         values = x @ rows.T
@@ -233,8 +214,6 @@ class Bank:
 
     def falls_below(self, member: int, rows: FloatArray) -> bool:
         """Whether rows·x of one filter is negative anywhere."""
-        if self.compiled is not None:
-            return self.compiled.falls_below(member, rows)
         return bool((rows @ self.x[member]).min() < 0.0)
 
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:

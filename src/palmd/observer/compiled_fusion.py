@@ -1,14 +1,10 @@
-"""Bindings to `model/fusion.c`, which fuses events into a bank of shape maps, with its memory; safe inside the loop.
-
-Each class has a twin in NumPy, which is used where there is no compiler and serves as the reference in tests:
-`palms.PalmTracker`, `filters.shape_map.ShapeFilters` and, for whole sequences of events, `fusion.Fusion`.
-"""
+"""Bindings to `model/fusion.c`, which fuses events into a bank of shape maps, with its memory; safe inside the loop."""
 
 from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +15,13 @@ from palmd.model.compiled import EXPORTED, Library
 from palmd.model.dynamics import VIBRATION_ERROR_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS
 from palmd.model.smoothing import RIG_CONSTANTS, R
+from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import pad_update
 from palmd.observer.history import EVENTS
-from palmd.observer.palms import repetitions
+from palmd.observer.palms import TrackedPalms, repetitions
 from palmd.system.mechanism import JOINTS, PALMS
 
 if TYPE_CHECKING:
-    from palmd.observer.bank import Bank, Belief
     from palmd.observer.rig_error import RigError
 
 MOST_STATES = 64
@@ -136,7 +132,7 @@ class Routines:
 
 
 class CompiledPalms:
-    """`palms.PalmTracker` in C."""
+    """`palms.PalmTracker` in C, a `TrackedPalms`."""
 
     def __init__(self, routines: Routines, angle_noise: float):
         """`angle_noise`: 1σ of a measured palm angle (rad)."""
@@ -151,27 +147,22 @@ class CompiledPalms:
 
     @property
     def known(self) -> bool:
-        """Whether a report has been fused."""
         return self.t > -math.inf
 
     @property
     def t(self) -> float:
-        """Time of the last report; -inf before the first."""
         return float(self._now.t)
 
     @property
     def repeated(self) -> float:
-        """The `repetitions` of readings at the last report's time."""
         return float(repetitions(self._now.t - self._now.moved)) if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s)."""
         angles, rates = np.empty(_JOINTS), np.empty(_JOINTS)
         self._routines.palms_variance(self.address, t, angles.ctypes.data, rates.ctypes.data)
         return np.sqrt(angles), np.sqrt(rates)
 
     def feed(self, sample: PalmSample) -> None:
-        """Fuse one report; reports older than the last one are ignored."""
         report = self._report
         report.t = sample.t_sample
         # slices also accept lists, which samples from another process consist of
@@ -180,12 +171,10 @@ class CompiledPalms:
         self._routines.palms_feed(self.address, self._report_at)
 
     def at(self, t: float) -> FloatArray:
-        """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
         self._routines.palms_at(self.address, t, self._motion_at)
         return np.array(self._motion)
 
     def motion(self, t: float) -> PalmMotion:
-        """The same as a `PalmMotion`."""
         self._routines.palms_at(self.address, t, self._motion_at)
         values = tuple(self._motion)
         return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
@@ -202,36 +191,39 @@ class CompiledRig:
         self.address = ctypes.addressof(self._now)
 
 
-class CompiledBank:
-    """Fusion of readings into a bank of shape maps; arguments `rig` are `ShapeFilters.compiled_rig`."""
+class CompiledBank(Bank):
+    """A bank of shape maps that fuses readings in C; arguments `rig` are `ShapeFilters.compiled_rig`."""
 
-    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, added_variances: Sequence[FloatArray]):
+    def __init__(
+        self, library: Library, size: int, n: int, updates: Mapping[str, int], inputs: tuple[int, int, int],
+        memory_s: float, rig_inputs: FloatArray, added_variances: Sequence[FloatArray],
+    ):  # fmt: skip
         """`rig_inputs` as from `model.outputs.rig_inputs`; C writes the friction asymmetry there.
 
         `added_variances` are two sets of variances that are added to those of `NAMED`: before a smoother has estimated
-        the rig's constants, and after. Raises ValueError for a bank with more than `MOST_STATES` states.
+        the rig's constants, and after. Raises ValueError for more than `MOST_STATES` states.
         """
-        if bank.n > MOST_STATES:
-            raise ValueError(f"a bank of shape maps has at most {MOST_STATES} states, not {bank.n}")
-        self.routines = routines
-        self.blocks = bank.blocks
-        self.bank = bank
+        if n > MOST_STATES:
+            raise ValueError(f"a bank of shape maps has at most {MOST_STATES} states, not {n}")
+        super().__init__(library, size, n, updates, inputs, memory_s)
+        self.routines = Routines(library)
         self._rig_inputs = rig_inputs
-        of_bank = "" if bank.block == 1 else "_block"
+        of_bank = "" if self.block == 1 else "_block"
         kernels = [f"{name}{of_bank}" for name in ("predict", *map(pad_update, PALMS), "values")] + ["predict", "named"]
-        (x0, x1), (P0, P1), score, nis, outcome, y, now = bank.memory()
-        arrays = (each.ctypes.data for each in (x0, x1, P0, P1, score, nis, outcome, y, rig_inputs))
-        self._now = _Bank(
-            *map(routines.address, kernels), *arrays, ctypes.addressof(now), bank.n, bank.block, bank.memory_s
-        )
-        self.address = ctypes.addressof(self._now)
-        self._y, self._variance, self._added = _Named(), _Named(), tuple(_Named(*each) for each in added_variances)
-        self._outputs = tuple(map(ctypes.addressof, (self._y, self._variance)))
+        held = (*self._x, *self._P, self._score, self._nis, self._outcome, self._y, rig_inputs)
+        self._shared = _Bank(
+            *map(self.routines.address, kernels), *(each.ctypes.data for each in held), ctypes.addressof(self._now),
+            n, self.block, memory_s,
+        )  # fmt: skip
+        self.address = ctypes.addressof(self._shared)
+        self._values_of_one, self._variance = _Named(), _Named()
+        self._added = tuple(_Named(*each) for each in added_variances)
+        self._outputs = tuple(map(ctypes.addressof, (self._values_of_one, self._variance)))
         self._disagreement = _Named()
         self._disagreement_at = ctypes.addressof(self._disagreement)
         self._spread, self._rows = _Rows(), _Rows()
         self._prior_sd: FloatArray | None = None
-        self._prior_variance = np.zeros((0, bank.n))
+        self._prior_variance = np.zeros((0, n))
         self._reading = _FusedReading()
         self._reading_at = ctypes.addressof(self._reading)
 
@@ -243,32 +235,37 @@ class CompiledBank:
         reading.t, reading.s, reading.force, reading.pad = sample.t_sample, sample.s, rig.pressing(sample), sample.pad
         return self._reading_at
 
-    def propagate(self, rig: CompiledRig, palms: CompiledPalms, t: float, until: float, repeated: float) -> None:
+    def at(self, rig: CompiledRig, palms: TrackedPalms) -> tuple[int, int, int]:
+        """The addresses of bank, palms and rig, as the routines take them."""
+        assert isinstance(palms, CompiledPalms)
+        return self.address, palms.address, rig.address
+
+    def propagate(self, rig: CompiledRig, palms: TrackedPalms, t: float, until: float, repeated: float) -> None:
         """As `Filters.propagate`."""
-        self.routines.carry(self.address, palms.address, rig.address, t, until, repeated)
+        self.routines.carry(*self.at(rig, palms), t, until, repeated)
 
     def fuse_pad(
-        self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float
+        self, rig: CompiledRig, palms: TrackedPalms, sample: PadSample, variance: float, repeated: float
     ) -> None:
         """As `Filters.fuse_pad`."""
-        self.routines.read_pad(self.address, palms.address, rig.address, self.reading(sample, rig), variance, repeated)
+        self.routines.read_pad(*self.at(rig, palms), self.reading(sample, rig), variance, repeated)
 
     def fuse_events(
-        self, rig: CompiledRig, palms: CompiledPalms, events: Sequence[Event], variances: FloatArray, t: float
+        self, rig: CompiledRig, palms: TrackedPalms, events: Sequence[Event], variances: FloatArray, t: float
     ) -> tuple[float, int]:
         """As `ShapeFilters.fuse_events`."""
         rows = np.array([_row(event) for event in events if not isinstance(event, PadLift)])
         now = ctypes.c_double(t)
-        at = (self.address, palms.address, rig.address, rows.ctypes.data, len(rows), variances.ctypes.data)
-        read = self.routines.follow(*at, ctypes.addressof(now))
+        readings = (rows.ctypes.data, len(rows), variances.ctypes.data)
+        read = self.routines.follow(*self.at(rig, palms), *readings, ctypes.addressof(now))
         return now.value, read
 
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
         """As `Bank.fade`."""
-        first, last, _ = prior.which.indices(self.bank.n)
+        first, last, _ = prior.which.indices(self.n)
         mean = np.ascontiguousarray(prior.mean)
-        if len(mean) < self.bank.size or mean.shape[1] != self.bank.n:
-            raise ValueError(f"beliefs need shape ({self.bank.size}, {self.bank.n}) at least, not {mean.shape}")
+        if len(mean) < self.size or mean.shape[1] != self.n:
+            raise ValueError(f"beliefs need shape ({self.size}, {self.n}) at least, not {mean.shape}")
         if prior.sd is not self._prior_sd or mean.shape != self._prior_variance.shape:
             self._prior_sd = prior.sd
             self._prior_variance = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
@@ -284,12 +281,12 @@ class CompiledBank:
         return self.routines.falls_below(self.address, member, *self._checked(rows)) != 0
 
     def _checked(self, rows: FloatArray) -> tuple[int, int]:
-        if rows.shape[1] != self.bank.n:
-            raise ValueError(f"rows need {self.bank.n} columns, one for each state, not {rows.shape}")
+        if rows.shape[1] != self.n:
+            raise ValueError(f"rows need {self.n} columns, one for each state, not {rows.shape}")
         return self._rows.at(rows), len(rows)
 
     def named(
-        self, rig: CompiledRig, palms: CompiledPalms, member: int, t: float, dt: float, spread: FloatArray | None
+        self, rig: CompiledRig, palms: TrackedPalms, member: int, t: float, dt: float, spread: FloatArray | None
     ) -> tuple[list[float], list[float]]:
         """Values of `NAMED` and their variances for one filter, propagated from `t` to `t + dt`.
 
@@ -297,22 +294,19 @@ class CompiledBank:
         """
         table = (None, 0, 0) if spread is None else (self._spread.at(spread), *spread.shape)
         added = ctypes.addressof(self._added[spread is not None])
-        self.routines.named(self.address, palms.address, rig.address, member, t, dt, *table, added, *self._outputs)
-        return self._y[:], self._variance[:]
+        self.routines.named(*self.at(rig, palms), member, t, dt, *table, added, *self._outputs)
+        return self._values_of_one[:], self._variance[:]
 
     def disagreement(
-        self, rig: CompiledRig, palms: CompiledPalms, t: float, margin: float, one_gauge: bool
+        self, rig: CompiledRig, palms: TrackedPalms, t: float, margin: float, one_gauge: bool
     ) -> list[float] | None:
         """As `Fusion.disagreement` at `t` (s), with rivals within `margin` (nats) of the best."""
-        at = (self.address, palms.address, rig.address)
-        rivals = self.routines.disagreement(*at, t, margin, one_gauge, self._disagreement_at)
+        rivals = self.routines.disagreement(*self.at(rig, palms), t, margin, one_gauge, self._disagreement_at)
         return self._disagreement[:] if rivals > 1 else None
 
 
 class CompiledHistory:
-    """`history.History` and `Fusion` in C: events in order of their own times, each with the bank's state before it.
-    `now.t` and `now.t_start` are those of `Fusion`.
-    """
+    """`history.History` and `Fusion` in C; `now.t` and `now.t_start` are those of `Fusion`."""
 
     def __init__(self, banks: Iterable[CompiledBank], variances: FloatArray):
         """`banks`: all banks that will be used; `variances`: of each pad's readings (m²)."""
@@ -337,14 +331,14 @@ class CompiledHistory:
         self.now.count = 0
 
     def add(
-        self, sample: PadSample, rig: CompiledRig, palms: CompiledPalms, forget: Callable[[int, float], None]
+        self, sample: PadSample, rig: CompiledRig, palms: TrackedPalms, forget: Callable[[int, float], None]
     ) -> bool:
         """Fuse one reading at its own time; False if it is too late for that.
 
         `forget` is called with the number of each block that is due to forget, and the `repetitions` of the reading.
         """
         bank = self._bank
-        routines, at = bank.routines, (bank.address, palms.address, rig.address)
+        routines, at = bank.routines, bank.at(rig, palms)
         block = routines.add(self._address, *at, bank.reading(sample, rig))
         while block >= 0:
             forget(block, self.now.repeated)
@@ -360,5 +354,5 @@ def _row(event: PadSample | PalmSample) -> tuple[float, ...]:
 
 
 def _blank(bank: CompiledBank) -> tuple[FloatArray, ...]:
-    full, n = bank.bank.full_size, bank.bank.n
-    return np.zeros(bank.blocks), np.zeros((full, n)), np.zeros((full, n, n)), np.zeros(full), np.zeros(full)
+    full, n = bank.full_size, bank.n
+    return np.zeros(full // bank.block), np.zeros((full, n)), np.zeros((full, n, n)), np.zeros(full), np.zeros(full)

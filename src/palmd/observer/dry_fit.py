@@ -224,11 +224,11 @@ class DryModel:
             contact = Lying.at(edges[number : number + 1], np.array([offset]), ORDER)
             slope_by_z = _q_slopes(contact, phase.palm, shape_of, standoffs, self.size)[0]
             value = float(_q(contact, phase.palm, shape_of, standoffs)[0])
-            slope_by_z += contact.kept_slope(phase.palm, shape_of)[0] * offset_by_z
+            slope_by_z += (contact.kept_turned(phase.palm) @ shape_of)[0] * offset_by_z
             palms = np.vstack([reported[span], edges[number + 1 : number + 2]])
             psi_span, lying = _orientation_keeping(palms, offset, value, phase.palm, shape_of, standoffs)
             psi_by_z = slope_by_z - _q_slopes(lying, phase.palm, shape_of, standoffs, self.size)
-            psi_by_z /= lying.kept_slope(phase.palm, shape_of)[:, None]
+            psi_by_z /= (lying.kept_turned(phase.palm) @ shape_of)[:, None]
             psi[span], slope[span], offset, offset_by_z = (
                 psi_span[:-1],
                 psi_by_z[:-1],
@@ -257,7 +257,7 @@ class DryModel:
         """
         shape_of, standoffs, rig = z[SHAPE], z[_STANDOFFS], z[RIG]
         s, standoff_slopes = _s(lying, palm, shape_of, standoffs), lying.standing_off(palm)
-        by_psi, by_opening = lying.contact_slope(palm, shape_of), lying.contact_opened(palm, shape_of, standoffs)
+        by_psi, by_opening = lying.contact_turned(palm) @ shape_of, lying.contact_opened(palm, shape_of, standoffs)
         rates = lying.palms[:, len(JOINTS) : 2 * len(JOINTS)]
         lag_slope = by_psi * (rates[:, 0] - spin) - by_opening * rates[:, OPENING]
         rig_slopes = [(R.ZERO + palm, np.ones(len(s))), (R.SCALE + palm, s), (R.LAG + palm, lag_slope)]
@@ -417,7 +417,7 @@ def _q_slopes(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArr
     """Derivatives of Q1 or Q2 by z (n, size), at constant ψ."""
     slopes = np.zeros((len(lying.palms), size))
     slopes[:, SHAPE], slopes[:, _STANDOFFS] = lying.kept(palm), lying.standing_off(palm)
-    slopes[:, _TILT] = -lying.kept_slope(palm, shape_of)
+    slopes[:, _TILT] = -(lying.kept_turned(palm) @ shape_of)
     slopes[:, _TURN] = lying.kept_opened(palm, shape_of, standoffs)
     return slopes
 
@@ -436,7 +436,7 @@ def _orientation_keeping(
     at = np.full(len(palms), psi)
     for _ in range(NEWTON_STEPS):
         lying = Lying.at(palms, at, ORDER)
-        step = (value - _q(lying, palm, shape_of, standoffs)) / lying.kept_slope(palm, shape_of)
+        step = (value - _q(lying, palm, shape_of, standoffs)) / (lying.kept_turned(palm) @ shape_of)
         if not np.abs(step).max(initial=0.0) > NEWTON_RAD:
             break
         at += np.clip(step, -0.3, 0.3)

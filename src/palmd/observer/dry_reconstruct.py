@@ -13,7 +13,7 @@ from palmd.model.rolling import Lying
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.dry_fit import ASYMMETRY, LN_MASS, LN_RHO, MU, RIG, SHAPE, DryFit, DryModel, phases_of
 from palmd.observer.factor import conditional_covariance
-from palmd.observer.outline import contact_normals, made_convex, outline_of
+from palmd.observer.outline import contact_normals, made_convex, outline_of, rms_sd
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, nothing_moves
@@ -147,8 +147,7 @@ def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Rec
     normals = contact_normals(record, fit.psi, z[SHAPE])
     outline = outline_of(z[SHAPE], covariance[SHAPE, SHAPE], [normals])
     conditional_outline = outline_of(z[SHAPE], conditional_covariance(covariance, RIG, SHAPE), [normals])
-    sharp = float(np.sqrt(np.mean(conditional_outline.h_sd[conditional_outline.touched] ** 2))) < SHARP_M
-    if not sharp or z[MU] < LEAST_FRICTION * sd[MU]:
+    if not rms_sd(conditional_outline.h_sd, outline.touched) < SHARP_M or z[MU] < LEAST_FRICTION * sd[MU]:
         return None
     rho, mass = math.exp(z[LN_RHO]), math.exp(z[LN_MASS])
     root = root_of(shape.basis(outline.theta, ORDER), covariance[SHAPE, SHAPE])

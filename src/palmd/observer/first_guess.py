@@ -29,9 +29,8 @@ LN_GYRATION_SD = 0.12
 
 @dataclass(frozen=True, slots=True)
 class FirstGuess:
-    """One filter at the end of the bank's time: its log likelihood, its trajectory (n, 2) at `t`, and its constants."""
+    """One filter at the end of the bank's time: its trajectory (n, 2) at `t`, and its constants."""
 
-    score: float
     t: FloatArray
     trajectory: FloatArray
     constants: FloatArray
@@ -70,13 +69,13 @@ def blind_starts(
             states.append(filters.bank.x.copy())
     if not times or not observer.start_time < math.inf:
         return []
-    at, score = np.array(times), filters.bank.score
-    order = [int(i) for i in np.argsort(-score, kind="stable")[:count]]
+    at = np.array(times)
+    order = [int(i) for i in np.argsort(-filters.bank.score, kind="stable")[:count]]
     # filters keep their numbers until one is dropped
     same = [state for state in states if len(state) == len(states[-1])]
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
-    return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
+    return [FirstGuess(at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
 def prior_of(radius: float, rig_sd: FloatArray, vibration: Vibration) -> Prior:

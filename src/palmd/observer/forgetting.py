@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from palmd.events import FloatArray
@@ -29,13 +27,6 @@ class Forgetting:
         """Forget from `t` (s) on: in all blocks, or only in those with a filter that started blind."""
         blind = self.prior_age_s.reshape(len(self.t_faded), -1).min(axis=1) == 0.0
         self.t_faded[:] = np.where(blind | everywhere, t, np.inf)  # in place: C reads this array
-
-    def step(self, bank: Bank, t: float, age_s: float, repeated: float, constants: Callable[[], Belief]) -> int | None:
-        """Let the block that is `due` at `t` (s) `forget`; returns its number, None if none is due."""
-        block = self.due(bank, t, age_s)
-        if block is not None:
-            self.forget(bank, block, t, age_s, repeated, constants())
-        return block
 
     def due(self, bank: Bank, t: float, age_s: float) -> int | None:
         """The block that has to forget at `t` (s), None if none has; one at a time, so that no tick pays for all."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
-from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms
+from palmd.observer.compiled_fusion import CompiledBank, CompiledHistory
 from palmd.observer.filters.base import Filters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.forgetting import HIGH_NIS, Forgetting
@@ -54,7 +54,7 @@ class Beliefs(Protocol):
 class Fusion:
     """See the module; `add` takes bounded time and is safe inside the loop.
 
-    Compiled shape maps fuse events in C (`compiled_fusion.CompiledHistory`), other filters here, by the same rules.
+    Shape maps fuse events in C (`compiled_fusion.CompiledHistory`), other filters here, by the same rules.
     """
 
     def __init__(self, rig: RigDescription, banks: Sequence[Filters]):
@@ -63,11 +63,9 @@ class Fusion:
         self._variances = rig.reading_variances
         self.curvatures = rig.curvatures
         self._first = banks[0]
-        compiled = [each.compiled for each in banks if isinstance(each, ShapeFilters) and each.compiled is not None]
+        compiled = [filters.bank for filters in banks if isinstance(filters.bank, CompiledBank)]
         self.history: History | CompiledHistory = (
-            CompiledHistory(compiled, self._variances)
-            if len(compiled) == len(banks)
-            else History([filters.bank for filters in banks])
+            CompiledHistory(compiled, self._variances) if compiled else History([filters.bank for filters in banks])
         )
         self.reset()
 
@@ -145,8 +143,9 @@ class Fusion:
         self.forgetting = Forgetting(filters.bank)
         if isinstance(self.history, History):
             self.history.use(filters.bank)
-        elif isinstance(filters, ShapeFilters) and filters.compiled is not None:
-            self.history.use(filters.compiled, self.forgetting.t_faded, not self.uses_smoothed_filter)
+        else:
+            assert isinstance(filters.bank, CompiledBank)
+            self.history.use(filters.bank, self.forgetting.t_faded, not self.uses_smoothed_filter)
 
     # ---- events
 
@@ -163,16 +162,13 @@ class Fusion:
             return
         if event.t_sample < self.t_start:
             return
-        if not (self._add(event, self.history) if isinstance(self.history, History) else self._add_compiled(event)):
-            self.late_dropped += 1
-
-    def _add_compiled(self, event: PadSample | PalmSample) -> bool:
-        filters, palms, history = self.filters, self.palms, self.history
-        assert isinstance(event, PadSample)
-        assert isinstance(filters, ShapeFilters)
-        assert isinstance(palms, CompiledPalms)
-        assert isinstance(history, CompiledHistory)
-        return history.add(event, filters.compiled_rig, palms, self._forget)
+        if isinstance(self.history, History):
+            added = self._add(event, self.history)
+        else:
+            assert isinstance(event, PadSample)
+            assert isinstance(self.filters, ShapeFilters)
+            added = self.history.add(event, self.filters.compiled_rig, self.palms, self._forget)
+        self.late_dropped += not added
 
     def _add(self, event: PadSample | PalmSample, history: History) -> bool:
         if event.t_sample >= self.t:
@@ -241,11 +237,11 @@ class Fusion:
 
         None if there is no rival. ψ is compared (modulo 2π) only if all filters have `one_gauge`.
         """
-        filters, palms = self.filters, self.palms
+        filters = self.filters
         if filters.bank.size == 1:
             return None
-        if isinstance(filters, ShapeFilters) and filters.compiled is not None and isinstance(palms, CompiledPalms):
-            return filters.compiled.disagreement(filters.compiled_rig, palms, self.t, PLAUSIBLE, one_gauge)
+        if isinstance(filters, ShapeFilters) and isinstance(filters.bank, CompiledBank):
+            return filters.bank.disagreement(filters.compiled_rig, self.palms, self.t, PLAUSIBLE, one_gauge)
         rivals, best, score = self.rivals(), self.bank.best(), self.bank.score
         if len(rivals) == 1:
             return None

@@ -9,6 +9,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 
+ITERATIONS = 40
 GATE = 4.0  # σ, beyond which a residual's cost grows linearly
 # relative fall of the cost at which the iteration ends; damping at which it gives up
 SMALL_FALL, MOST_DAMPING = 1e-6, 1e9
@@ -23,7 +24,7 @@ class Minimum:
     settled: bool
 
 
-def minimise(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: FloatArray, iterations: int = 40) -> Minimum:
+def minimise(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: FloatArray) -> Minimum:
     """Minimise the cost from p on.
 
     at(p): residuals, normalised by their 1σ, and their derivatives. The cost of a residual is quadratic within `GATE`,
@@ -32,7 +33,7 @@ def minimise(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: Float
     misses, rows = at(p)
     cost, damping = _cost(misses), 1e-3
     settled = False
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         weight = 1.0 / np.sqrt(1.0 + (misses / GATE) ** 2)
         information = rows.T @ (weight[:, None] * rows)
         damped = information + damping * np.diag(np.diagonal(information))

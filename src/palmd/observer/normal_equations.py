@@ -76,8 +76,8 @@ class Guess:
 
 
 @dataclass(frozen=True, slots=True)
-class NormalEquations:
-    """At one point: matrix and right-hand side as in `observer.reduction`, and the parts of the cost.
+class Misfit:
+    """The cost at one point, and its parts.
 
     process_cost: of the process noise. prior_cost: of prior knowledge, above its minimum. outliers: share of contact
     readings beyond the gate. outlier_run: the longest run of them. χ² is per contact and per force reading, robust.
@@ -90,6 +90,12 @@ class NormalEquations:
     prior_cost: float
     outliers: float
     outlier_run: int
+
+
+@dataclass(frozen=True, slots=True)
+class NormalEquations(Misfit):
+    """Matrix and right-hand side at one point, as in `observer.reduction`."""
+
     banded: FloatArray
     rows: FloatArray
     whole_corner: FloatArray
@@ -270,7 +276,7 @@ class Residuals:
         density = densities[: steps + 1, int(hopping_only)]
         return np.minimum(np.nan_to_num(density, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
 
-    def contacts(self, guess: Guess) -> FloatArray:
+    def residuals(self, guess: Guess) -> FloatArray:
         """Residual of each contact reading, normalised by the σ of its noise."""
         record = self.record
         return (record.contact_value - self.predicted_contacts(guess)) / np.sqrt(record.contact_variance)

@@ -100,6 +100,11 @@ def sd_of(rows: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.sqrt(np.maximum(variance, 0.0))
 
 
+def rms_sd(sd: FloatArray, touched: npt.NDArray[np.bool_]) -> float:
+    """RMS 1σ (m) of h over the normals touched."""
+    return float(np.sqrt(np.mean(sd[touched] ** 2)))
+
+
 def _order(coefficients: FloatArray) -> int:
     return (len(coefficients) - 1) // 2
 

@@ -67,7 +67,10 @@ class TrackedPalms(Protocol):
         """The `repetitions` of readings at the last report's time."""
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s)."""
+        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s).
+
+        Includes the arm's rounding of the plan, and a possible change of the plan since the last report.
+        """
 
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
@@ -82,8 +85,7 @@ class TrackedPalms(Protocol):
 class PalmTracker:
     """A Kalman filter on (φ, ω, α) of each palm, which also fuses the plan's rates and accelerations if known.
 
-    Between reports the jerk is the plan's last one. Pure and safe inside the loop. Its twin in C is
-    `compiled_fusion.CompiledPalms`.
+    A `TrackedPalms`. Between reports the jerk is the plan's last one. Pure and safe inside the loop.
     """
 
     def __init__(self, angle_noise: float):
@@ -99,24 +101,17 @@ class PalmTracker:
 
     @property
     def known(self) -> bool:
-        """Whether a report has been fused."""
         return self._t is not None
 
     @property
     def t(self) -> float:
-        """Time of the last report; -inf before the first."""
         return -np.inf if self._t is None else self._t
 
     @property
     def repeated(self) -> float:
-        """The `repetitions` of readings at the last report's time."""
         return float(repetitions(self.t - self._t_moved)) if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s).
-
-        Includes the arm's rounding of the plan, and a possible change of the plan since the last report.
-        """
         age = t - self.t
         changed = CHANGED * self._largest_jerk
         angle = self._P[0, 0] + (ROUNDING_S2 * self._state[:, 2]) ** 2 + (changed * age**3 / 6) ** 2
@@ -124,7 +119,6 @@ class PalmTracker:
         return np.sqrt(angle), np.sqrt(rate)
 
     def feed(self, sample: PalmSample) -> None:
-        """Fuse one report; reports older than the last one are ignored."""
         if self._t is None or sample.t_sample - self._t > FORGOTTEN_S:
             self._begin(sample)
             return
@@ -154,7 +148,6 @@ class PalmTracker:
             self._t_moved = sample.t_sample
 
     def at(self, t: float) -> FloatArray:
-        """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
         # plain floats: several times faster than arrays of three
         dt = t - self.t
         half = dt * dt / 2
@@ -167,7 +160,6 @@ class PalmTracker:
         return np.array([*angles, *rates, *accelerations])
 
     def motion(self, t: float) -> PalmMotion:
-        """The same as a `PalmMotion`."""
         return motion_of(self.at(t))
 
     def _begin(self, sample: PalmSample) -> None:

@@ -32,7 +32,7 @@ from palmd.observer.matching import ObjectInformation, matched
 from palmd.observer.noise import MAP_READINGS, map_as_noise, with_scatter, without_map
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.numerical import NUMERICAL_FAILURES
-from palmd.observer.outline import contact_normals, directions, made_convex, outline_of
+from palmd.observer.outline import contact_normals, directions, made_convex, outline_of, rms_sd
 from palmd.observer.pad_map import has_map, with_map
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out, total_duration
@@ -558,7 +558,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, started
     normals = [contact_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     conditional_outline = outline_of(p[C.SHAPE :], conditional_covariance(covariance, RIG, _OUTLINE), normals)
-    if not reason and float(np.sqrt(np.mean(conditional_outline.h_sd[conditional_outline.touched] ** 2))) > SHARP_M:
+    if not reason and rms_sd(conditional_outline.h_sd, outline.touched) > SHARP_M:
         reason = "the readings determine too little of the outline"
     if not reason and (concavity := most_lying(p[C.SHAPE :], normals, rig.curvatures)) >= MOST_LYING:
         reason = f"the palms are too concave for the object: kappa v reaches {concavity:.2f} at a contact"

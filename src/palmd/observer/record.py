@@ -25,6 +25,7 @@ NO_FORCES = (0.0,) * len(PALMS)
 """Largest force (N) measured by each pad so far, when nothing is known."""
 
 WITHIN_S = 1e-9  # tolerance of a span's ends for nodes
+MEDIAN_OF = 15  # forces of a pad, for the level of each
 LEAST_FORCE_N = 0.05  # below it a force indicates little more than touch
 
 
@@ -265,8 +266,8 @@ def _contact_forces(level: FloatArray, pad: FloatArray, largest: Sequence[float]
     return pressing
 
 
-def _running_median(force: FloatArray, pad: FloatArray, width: int = 15) -> FloatArray:
-    level = force.copy()
+def _running_median(force: FloatArray, pad: FloatArray) -> FloatArray:
+    width, level = MEDIAN_OF, force.copy()
     for number in PALMS:
         mine = np.flatnonzero((pad == number) & np.isfinite(force))
         if len(mine):

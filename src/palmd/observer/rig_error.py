@@ -10,7 +10,6 @@ import numpy as np
 
 from palmd.events import FloatArray, PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
-from palmd.model.touch import LEAST_CURVATURE_MARGIN
 from palmd.system.arcs import FLAT
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
@@ -28,33 +27,11 @@ class RigError:
 
     def angles(self) -> tuple[float, float]:
         """Differences (rad) of φ1 and φ2 of the touched surfaces from those reported."""
-        one, two = self.bows(self.values)
-        return float(self.values[R.TILT] + one), float(self.values[R.TURN] + two)
-
-    def bows(self, values: FloatArray) -> FloatArray:
-        """Increase of φ1 and φ2 by bowed surfaces at the last contacts (rad), for constants (RIG, …)."""
         one, two = (
-            4.0 * values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i)) for i, length in enumerate(self.pad_lengths)
+            4.0 * self.values[R.SAGITTA + i] / length * (1.0 - 2.0 * (float(self.s[i]) / length))
+            for i, length in enumerate(self.pad_lengths)
         )
-        return np.array([one, -one - two])
-
-    def heights(self, values: FloatArray) -> FloatArray:
-        """Height of both surfaces over the hinge line at the last contacts (m), for constants (RIG, …)."""
-        return np.array([values[R.STANDOFF + k] + 4.0 * values[R.SAGITTA + k] * self._u(k) ** 2 for k in range(2)])
-
-    def lifts(self, palm: int, opening: float, radius: float) -> FloatArray:
-        """Shift of a contact on `palm` (0, 1) away from the hinge, per metre by which each surface is higher.
-
-        opening: φ2 as in `angles`. radius (m): approximate, of the object; on a curved palm a contact is shifted 1/(1 −
-        κ·radius) times as far as on a flat one.
-        """
-        margin = 1.0
-        if any(self.curvatures):
-            opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
-            margin = max(1.0 - self.curvatures[palm] * radius, LEAST_CURVATURE_MARGIN)
-        shift = np.full(len(PALMS), 1.0 / math.sin(opening) / margin)
-        shift[palm] = math.cos(opening) / math.sin(opening) / margin
-        return shift
+        return float(self.values[R.TILT] + one), float(self.values[R.TURN] + (-one - two))
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading, with its time corrected for the pad's lag."""
@@ -67,16 +44,6 @@ class RigError:
             self.most[sample.pad - 1] = max(self.most[sample.pad - 1], sample.force)
             return sample.force
         return float(self.most[sample.pad - 1])
-
-    def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
-        """The distance (m) that a pad without errors on the hinge line would read; other arguments as in `lifts`."""
-        i, v = sample.pad - 1, self.values
-        compliance = v[R.FORCE + i] * self.pressing(sample)
-        self.s[i] = s = float((sample.s - v[R.ZERO + i] - compliance) / (1.0 + v[R.SCALE + i]))
-        return float(s - self.lifts(i, opening, radius) @ self.heights(v))
-
-    def _u(self, pad: int) -> float:
-        return float(self.s[pad]) / self.pad_lengths[pad]
 
 
 def circle_spread(rig: RigDescription, contacts: Sequence[float], opening: float) -> float:

@@ -25,7 +25,7 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.mode_initialisation import trimmed_spans
 from palmd.observer.mode_model import SegmentReadings, SupportFrame, balance
 from palmd.observer.mode_segments import TRIM_S, ModeSegment, group_by_mode
-from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
+from palmd.observer.outline import directions, normal_angles, rms_sd, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import IntArray, Record, total_duration
 from palmd.observer.rounded_polygon import discs, side_normals, support, turned
@@ -152,7 +152,7 @@ def _result(
     turns = slope[touched] @ rows[touched] / max(float(slope[touched] @ slope[touched]), 1e-30)
     gauge_free = rows - np.outer(slope, turns)
     h_sd = np.hypot(sd_of(gauge_free, covariance), MODEL_SD_M)
-    if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
+    if rms_sd(h_sd, touched) > SHARP_M:
         return None
     mass = _mass_of(fit, whole, search)
     shared_sd = OVERCONFIDENCE * np.sqrt(np.diagonal(fit.covariance)[len(p) :])

@@ -544,7 +544,7 @@ def beyond_question(fit: Fit, record: Record) -> bool:
 
 def rejection_reason(fit: Fit, finding: Minima) -> str:
     """Reason to reject `fit`, the best of `finding` or a refinement of it; empty when it is accepted."""
-    return misfit_reason(fit, finding.record) or (AMBIGUOUS if is_ambiguous(finding) else "")
+    return misfit_reason(fit, finding.record) or (AMBIGUOUS if rivals_of(finding) else "")
 
 
 def misfit_reason(fit: Fit, record: Record) -> str:
@@ -560,11 +560,6 @@ def misfit_reason(fit: Fit, record: Record) -> str:
     if fit.outliers > MOST_OUTLIERS:
         return f"{fit.outliers:.0%} of the readings are outliers"
     return ""
-
-
-def is_ambiguous(finding: Minima) -> bool:
-    """Whether other outlines explain the readings as well as the best one."""
-    return bool(rivals_of(finding))
 
 
 def rivals_of(finding: Minima) -> list[Fit]:

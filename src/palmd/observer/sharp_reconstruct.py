@@ -18,7 +18,7 @@ from palmd.observer.factor import conditional_covariance, friction_of
 from palmd.observer.flat_side_fits import LEAST_S, Candidate
 from palmd.observer.flat_side_search import FlatSideSearch, in_order
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
+from palmd.observer.outline import directions, normal_angles, rms_sd, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import concatenated_records
 from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstruction
@@ -151,7 +151,7 @@ def _result(
         np.hypot(sd_of(free, each), model_sd)
         for each in (covariance[shape, shape], conditional_covariance(covariance, RIG, shape))
     )
-    if float(np.sqrt(np.mean(conditional_sd[touched] ** 2))) > SHARP_M:
+    if rms_sd(conditional_sd, touched) > SHARP_M:
         return None
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))

@@ -250,7 +250,7 @@ def followed_motion(
     widened = p.copy()
     widened[WIDTH] = max(p[WIDTH], math.log(TRACKED_WIDTH))
     spin = np.gradient(psi, gap.t)
-    residuals = Residuals(sharp.library_for(sharp.SIDES), gap).contacts(Guess(np.stack([psi, spin], axis=1), widened))
+    residuals = Residuals(sharp.library_for(sharp.SIDES), gap).residuals(Guess(np.stack([psi, spin], axis=1), widened))
     most_missed = MOST_MISSED + JUMPS_S / float(gap.t[-1] - gap.t[0])
     if np.mean(np.abs(residuals) * np.sqrt(gap.contact_variance) > MISSED_M) > most_missed:
         return None

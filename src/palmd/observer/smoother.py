@@ -17,7 +17,7 @@ from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.smoothing import NODE, C
 from palmd.observer.factor import Knowledge
-from palmd.observer.normal_equations import WILD_SPIN, Guess, NormalEquations, ProcessNoise, Residuals
+from palmd.observer.normal_equations import WILD_SPIN, Guess, Misfit, NormalEquations, ProcessNoise, Residuals
 from palmd.observer.record import Record
 
 MAX_ITERATIONS = 60
@@ -37,21 +37,11 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """A minimum: its cost, the parts of it (`NormalEquations`), and how the iteration ended.
-
-    linearised: at the minimum.
-    """
+class Fit(Misfit):
+    """A minimum and how the iteration ended. linearised: at the minimum."""
 
     guess: Guess
     noise: ProcessNoise
-    cost: float
-    chi2: float
-    force_chi2: float
-    process_cost: float
-    prior_cost: float
-    outliers: float
-    outlier_run: int
     iterations: int
     settled: bool
     linearised: Linearised | None = field(default=None, repr=False, compare=False)
@@ -100,7 +90,7 @@ class Posterior:
         return float(away @ np.linalg.solve(covariance[np.ix_(open_, open_)], away))
 
 
-class Smoother:
+class Smoother(Residuals):
     """The least-squares problem of one record; `fit` may be called with many guesses and process noises."""
 
     def __init__(self, library: Library, record: Record, known: Knowledge, budget: Budget | None = None):
@@ -108,7 +98,7 @@ class Smoother:
 
         Fits end without convergence when the `budget` is spent; by default it is unlimited.
         """
-        self._residuals = Residuals(library, record)
+        super().__init__(library, record)
         self._known = known
         self._budget = budget or Budget()
 
@@ -137,7 +127,7 @@ class Smoother:
         guess = self.completed(start)
         equations = self.linearised(guess, noise)
         if not math.isfinite(equations.cost):
-            return Fit(guess, noise, math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, 0, False)
+            return Fit(math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, guess, noise, 0, False)
         damping, count, rejected, settled = FIRST_DAMPING, 0, 0, False
         budget, nodes = self._budget, len(guess.x)
         while (
@@ -166,22 +156,14 @@ class Smoother:
             rejected += predicted > LARGE_PREDICTED
             damping *= 6.0
         return Fit(
-            guess, noise, equations.cost, equations.chi2, equations.force_chi2, equations.process_cost,
-            equations.prior_cost, equations.outliers, equations.outlier_run,
-            count, settled, Linearised(self._residuals.record, self._known, guess, noise, equations),
+            equations.cost, equations.chi2, equations.force_chi2, equations.process_cost, equations.prior_cost,
+            equations.outliers, equations.outlier_run, guess, noise, count, settled,
+            Linearised(self.record, self._known, guess, noise, equations),
         )  # fmt: skip
-
-    def completed(self, guess: Guess) -> Guess:
-        """The guess, continued by the model where it has fewer nodes than the record."""
-        return self._residuals.completed(guess)
-
-    def forces(self, guess: Guess) -> FloatArray:
-        """Predicted force (N) of each force reading."""
-        return self._residuals.forces(guess)
 
     def with_predicted_forces(self, guess: Guess) -> Record:
         """The record with contact forces predicted by the model at `guess` instead of the measured ones."""
-        return self._residuals.record.with_contact_forces(self._residuals.contact_forces(guess))
+        return self.record.with_contact_forces(self.contact_forces(guess))
 
     def with_discrepancy(self, guess: Guess, hopping_only: bool = False) -> Record:
         """The record with the friction law's uncertainty at `guess` as process noise.
@@ -189,19 +171,11 @@ class Smoother:
         hopping_only: only in steps in which contacts hop. Without it, the least cost over motions and constants is that
         of an object so heavy that only the uncertainty of steps turns it; only prior knowledge contradicts that.
         """
-        return replace(self._residuals.record, discrepancy=self._residuals.discrepancy(guess, hopping_only))
-
-    def predicted_contacts(self, guess: Guess) -> FloatArray:
-        """Predicted contact readings (m)."""
-        return self._residuals.predicted_contacts(guess)
-
-    def residuals(self, guess: Guess) -> FloatArray:
-        """Residual of each contact reading, normalised by the σ of its noise."""
-        return self._residuals.contacts(guess)
+        return replace(self.record, discrepancy=self.discrepancy(guess, hopping_only))
 
     def linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
         """The normal equations at `guess`, with prior knowledge; the cost is infinite where they are invalid."""
-        now = self._residuals.linearised(guess, noise)
+        now = super().linearised(guess, noise)
         return now.plus_knowledge(self._known.terms(guess.p, guess.x[0])) if math.isfinite(now.cost) else now
 
     def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations | None]:
@@ -242,7 +216,7 @@ class Smoother:
     def posterior(self, fit: Fit) -> Posterior:
         """Posterior of the fit; raises LinAlgError where it is no minimum."""
         noise, linearised = fit.noise, fit.linearised
-        if linearised is not None and linearised.is_of(self._residuals.record, self._known, fit.guess, noise):
+        if linearised is not None and linearised.is_of(self.record, self._known, fit.guess, noise):
             equations = linearised.equations
         else:
             equations = self.linearised(fit.guess, noise)
@@ -250,7 +224,7 @@ class Smoother:
             raise np.linalg.LinAlgError("the cost of the fit is not finite")
         covariance, log_det, step = equations.posterior()
         steps = len(fit.guess.x) - 1
-        discrepancy = self._residuals.record.discrepancy[:-1]
+        discrepancy = self.record.discrepancy[:-1]
         normaliser = steps * math.log(noise.psi) + float(np.log(noise.omega0 + discrepancy).sum())
         beyond = Guess(fit.guess.x + step.x, fit.guess.p + step.p)
         return Posterior(

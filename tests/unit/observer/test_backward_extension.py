@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.model import shape
-from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.backward_extension import extended_backwards, knowledge_of_constants
 from palmd.observer.data_segment import longest_segment
-from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Attempt, Search, explained
 from palmd.observer.smoother import Smoother
@@ -44,21 +41,6 @@ def test_what_begins_later_comes_to_what_is_found_from_the_beginning(search, fou
     assert one.guess.x[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_guess_carried_back_has_the_rest_as_it_was_and_is_near_the_minimum(search, found):
-    best, cut = found.fits[0], 100
-    covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
-    psi = float(best.guess.x[cut, 0])  # the rest is told as if it began there
-    turn = np.eye(CONSTANTS)
-    turn[C.SHAPE :, C.SHAPE :] = shape.turned(-psi, ORDER)
-    rest = Guess(best.guess.x[cut:] - [psi, 0.0], turn @ best.guess.p)
-    known = knowledge_of_constants(rest.p, turn @ covariance[:CONSTANTS, :CONSTANTS] @ turn.T, search.prior.scale)
-    guess = extended_backwards(search.library, search.record, replace(best, guess=rest), known, explained)
-    assert guess.x[:, 0] == pytest.approx(best.guess.x[:, 0], abs=5e-3)
-    assert guess.p[C.SHAPE :] == pytest.approx(best.guess.p[C.SHAPE :], abs=1e-4)
-    late = slice(cut + 51, None)
-    assert np.diff(guess.x[late, 0]) == pytest.approx(np.diff(best.guess.x[late, 0]), abs=1e-12)
-
-
 def test_a_beginning_that_is_of_something_else_is_not_joined(search, found):
     best, cut, record = found.fits[0], 150, search.record
     covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
@@ -69,12 +51,9 @@ def test_a_beginning_that_is_of_something_else_is_not_joined(search, found):
     assert extended_backwards(search.library, other, fit, known, explained) is None
 
 
-def test_of_a_record_that_is_too_short_for_it_nothing_is_sought_later(search):
-    assert search.blind(Attempt(2.0, 3, later_s=4.5), seed=0) is None
-
-
-def test_work_is_bounded(search):
-    assert search.blind(Attempt(2.0, 3, work=10.0), seed=0) is None
+@pytest.mark.parametrize("limit", [{"later_s": 4.5}, {"work": 10.0}], ids=["too short a record", "too little work"])
+def test_a_search_ends_at_its_limits(search, limit):
+    assert search.blind(Attempt(2.0, 3, **limit), seed=0) is None
 
 
 def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkeypatch):

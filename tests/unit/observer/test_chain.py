@@ -38,17 +38,6 @@ def cut(smoothed, kept=60, at=None):
     return chain
 
 
-def test_the_pieces_of_a_record_hold_all_its_readings_once(smoothed):
-    record = smoothed[1].record
-    pieces = [record.between(first, first + STEPS) for first in range(0, 5 * STEPS, STEPS)]
-    whole = record.until(record.t[5 * STEPS])
-    assert sum(len(piece.contact_value) for piece in pieces) == len(whole.contact_value)
-    for first, piece in zip(range(0, 5 * STEPS, STEPS), pieces, strict=True):
-        assert piece.t[0] == record.t[first]
-        assert ((piece.contact_step >= 0) & (piece.contact_step < STEPS)).all()
-    assert np.concatenate([piece.force_value for piece in pieces]) == pytest.approx(whole.force_value)
-
-
 @pytest.mark.parametrize("kept", [60, 2], ids=["kept", "folded"])
 def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
     search, finding = smoothed

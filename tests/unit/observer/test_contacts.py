@@ -38,6 +38,9 @@ def test_once_cleared_nothing_was_seen():
     contacts.read(PadSample(1.01, 1, 0.02))
     assert contacts.least_recent == -math.inf
     assert not contacts.touching(1.01)
+    assert contacts.last(2) is None
+    contacts.read(PadSample(1.01, 2, 0.02))
+    assert contacts.touching(1.01)
 
 
 def test_a_lifted_pad_touches_again_once_it_is_read():
@@ -82,16 +85,6 @@ def test_a_reading_may_be_of_a_moment_later_than_what_it_is_asked_for():
     contacts = read((1.05, 1), (1.0, 2))
     assert contacts.read_about(1.0)
     assert not contacts.read_about(1.05 - 1.1 * SILENCE_S)
-
-
-def test_what_has_left_is_forgotten():
-    contacts = read((1.0, 1), (1.0, 2))
-    contacts.lift(1)
-    contacts.clear()
-    assert contacts.last(2) is None
-    contacts.read(PadSample(1.01, 1, 0.02))
-    contacts.read(PadSample(1.01, 2, 0.02))
-    assert contacts.touching(1.01)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

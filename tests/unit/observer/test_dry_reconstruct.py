@@ -16,9 +16,7 @@ from palmd.observer.data_segment import longest_segment
 from palmd.observer.dry_fit import LN_MASS as LN_MASS_OF_FIT
 from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, phases_of
 from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction
-from palmd.observer.factor import conditional_covariance
 from palmd.observer.noise import with_scatter
-from palmd.observer.outline import contact_normals, outline_of
 from palmd.observer.search import Search
 from palmd.observer.stuck_palms import (
     LN_MASS,
@@ -315,30 +313,6 @@ def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
     sds = np.sqrt(np.diagonal(answer.rig_covariance))
     assert (np.abs(answer.rig) < 3.0 * sds).all()
     assert (sds <= answer.rig_prior_sd * (1.0 + 1e-6)).all()
-
-
-def test_what_a_calibrated_rig_leaves_open_is_its_standoffs(dry):
-    """From the truth, with the true palms: what no better search can tell."""
-    log, truth = dry
-    search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)))
-    record = search.record
-    model = DryModel(record, search.path, search.prior, phases_of(truly_stuck(record, truth).astype(np.intp), record.t))
-    outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
-    fit = model.fit(model.initial_constants(outline, truth["mass_kg"], DRY.mu, 0.0))
-    covariance = np.linalg.inv(fit.matrix)
-    felt = [contact_normals(record, fit.psi, fit.z[SHAPE])]
-
-    def band(known):
-        left = conditional_covariance(covariance, known, SHAPE) if known else covariance[SHAPE, SHAPE]
-        told = outline_of(fit.z[SHAPE], left, felt)
-        return float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2)))
-
-    standoffs = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
-    others = [slice(RIG.start, standoffs.start), slice(standoffs.stop, RIG.stop)]
-    assert fit.settled
-    assert band(standoffs) < 0.75 * band(None)
-    assert band(RIG) < 0.35 * band(None)
-    assert all(band(known) > 0.8 * band(None) for known in others)
 
 
 def drawn(search):

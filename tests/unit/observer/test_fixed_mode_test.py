@@ -6,10 +6,10 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from simulated import simulated
+from simulated import simulated, watched
 
 from palmd import observer
-from palmd.events import PadSample, PalmMotion, PalmSample
+from palmd.events import PadSample, PalmMotion
 from palmd.observer import Simulated
 from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.record.replay import replay
@@ -121,19 +121,10 @@ def test_what_rolls_on_a_calibrated_rig_excludes_a_ride_too():
     assert told({1: ROLLING, 2: ROLLING}, OPENINGS, CALIBRATED).excluded
 
 
-def watched(run, smoother_takes_s: float) -> int:
+def valid_ticks(run, smoother_takes_s: float) -> int:
     """In how many ticks an observer is valid."""
     watcher = observer.make("shape", run.rig, 0, Simulated(run.rig, latency_s=smoother_takes_s))
-    tick, valid = 0.01, 0
-    for event in run.events:
-        if not isinstance(event, PadSample | PalmSample):
-            continue
-        while tick < event.t_sample:
-            watcher.improve(tick)
-            valid += watcher.estimate(tick).valid
-            tick += 0.01
-        watcher.feed(event)
-    return valid
+    return sum(estimate.valid for estimate in watched(watcher, run.events))
 
 
 @pytest.mark.parametrize(
@@ -151,9 +142,9 @@ def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s
     monkeypatch.setattr(FixedModeTest, "concentric", disc)
     monkeypatch.setattr(FixedModeTest, "_touches_corner", lambda *_: sharp)
     monkeypatch.setattr("palmd.observer.fixed_mode_test.LEAST_RANGE_RAD", 0.0)
-    valid = watched(simulated("nominal", 9500, 2.0), smoother_takes_s)
+    valid = valid_ticks(simulated("nominal", 9500, 2.0), smoother_takes_s)
     assert (valid > ticks) if ticks else (valid == 0)
 
 
 def test_what_rolls_is_vouched_for_before_the_smoother_has_told_of_it():
-    assert watched(simulated("nominal", 9500, 1.2), NEVER) > 20
+    assert valid_ticks(simulated("nominal", 9500, 1.2), NEVER) > 20

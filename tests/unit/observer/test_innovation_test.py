@@ -12,7 +12,7 @@ from palmd import observer
 from palmd.events import PadSample, PalmSample
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.forgetting import HIGH_NIS
-from palmd.observer.innovation_test import DECAY_S, InnovationTest
+from palmd.observer.track import DECAY_S, InnovationTest
 
 
 def test_the_worst_of_late_counts_and_fades() -> None:

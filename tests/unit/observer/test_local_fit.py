@@ -42,11 +42,8 @@ def test_too_few_readings_give_none(t):
     few = np.array([0.5, 0.51, 0.52])
     assert local_cubic(few, few[:, None], t) is None
     assert RecentReadings(1.0).at(t) is None
-
-
-def test_readings_at_one_instant_give_none():
-    t = np.full(10, 0.5)
-    assert local_cubic(t, t[:, None], 0.5) is None
+    at_one_instant = np.full(10, 0.5)
+    assert local_cubic(at_one_instant, at_one_instant[:, None], t) is None
 
 
 def test_late_readings_find_their_place_and_old_ones_are_forgotten():

@@ -6,18 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from palms import palm_sample
+from simulated import simulated, watched
 
 from palmd import observer
 from palmd.config.two_palms import PlanSpec
-from palmd.events import PadSample, PalmMotion
+from palmd.events import PalmMotion
 from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer.observability import Observability, scaled_singular_value
 from palmd.observer.prior import FRICTION_SD, blind_start, shape_map_sd
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import random_body
-from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED
@@ -25,6 +24,7 @@ from tools.closed_loop import TwoPalmsLoop
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4
+FIXED, VARIANCE = RigDescription(hinge="fixed"), 1.2e-8
 
 
 def test_it_is_prior_over_error_of_the_worst_told_combination() -> None:
@@ -119,13 +119,19 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
     assert sliding[0] > 2.5 * stuck[0]
 
 
-def test_silent_pads_tell_nothing() -> None:
-    fixed_lag = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+def begun() -> tuple[Observability, np.ndarray, np.ndarray]:
+    """Observability from t = 0 on, the prior 1σ of the states, and a state."""
+    fixed_lag = Observability(rig_inputs(FIXED), np.full(2, VARIANCE))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
     fixed_lag.begin(0.0, shape_map_sd(start))
-    assert shape_map_sd(start)[shape_map.Z.MU] == FRICTION_SD
     x = np.zeros(shape_map.N)
     x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02
+    return fixed_lag, shape_map_sd(start), x
+
+
+def test_silent_pads_tell_nothing() -> None:
+    fixed_lag, prior_sd, x = begun()
+    assert prior_sd[shape_map.Z.MU] == FRICTION_SD
     for k in range(60):
         fixed_lag.sample(k * 0.02, x, np.array([0.8, 1.6, 0.3, 0.2, 0.0, 0.0]), np.zeros(2))
     assert fixed_lag.value() == pytest.approx(0.0, abs=1e-6)
@@ -133,13 +139,9 @@ def test_silent_pads_tell_nothing() -> None:
 
 def test_its_blocks_make_up_the_whole_window() -> None:
     """Ten short blocks chained, against one long one: the same second, the same number."""
-    rig, variance = rig_inputs(RigDescription(hinge="fixed")), 1.2e-8
-    fixed_lag = Observability(rig, np.full(2, variance))
-    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
-    fixed_lag.begin(0.0, shape_map_sd(start))
+    fixed_lag, prior_sd, x = begun()
     Z, kernels = shape_map.Z, {"aim": sensitivity.aim_function(), "gather": sensitivity.gather_function()}
-    x = np.zeros(shape_map.N)
-    x[Z.LN_RHO], x[Z.LN_DITHER], x[Z.SHAPE], x[Z.SHAPE + 3] = math.log(0.014), math.log(0.01), 0.02, 1e-3
+    x[Z.SHAPE + 3] = 1e-3
     T, G, aim = np.eye(2, shape_map.N), np.zeros((shape_map.N,) * 2), None
     dt = 0.025
     for k in range(41):
@@ -152,18 +154,14 @@ def test_its_blocks_make_up_the_whole_window() -> None:
         if k == 0:
             aim = np.array(kernels["aim"](x, [*palms[:2], 0.0, 0.0]))
         if k < 40:
-            inputs = [dt, *palms, 0.0, 0.0, *rig, 1 / variance, 1 / variance]
+            inputs = [dt, *palms, 0.0, 0.0, *rig_inputs(FIXED), 1 / VARIANCE, 1 / VARIANCE]
             T, G = (np.array(value) for value in kernels["gather"](x, T, G, inputs))
-    assert fixed_lag.value() == pytest.approx(scaled_singular_value(G, aim, shape_map_sd(start)), rel=1e-6)
+    assert fixed_lag.value() == pytest.approx(scaled_singular_value(G, aim, prior_sd), rel=1e-6)
 
 
 def test_a_gap_between_samples_ends_the_window() -> None:
     """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
-    fixed_lag = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
-    start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
-    fixed_lag.begin(0.0, shape_map_sd(start))
-    x = np.zeros(shape_map.N)
-    x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02
+    fixed_lag, _, x = begun()
     x[shape_map.Z.SHAPE + 3] = 1e-3
 
     def run(t0: float, seconds: float) -> float:
@@ -183,16 +181,8 @@ def test_a_gap_between_samples_ends_the_window() -> None:
 
 @pytest.mark.parametrize("name", ["shape", "extended"])
 def test_it_is_finite_in_every_valid_tick_after_the_first_second_and_nan_before(name: str) -> None:
-    watcher = observer.make(name, RigDescription(hinge="fixed"))
-    tick, seen = 0.01, []
-    for line in simulate_log("nominal", 107, 4.0)[0][1:]:
-        while tick < line["t"]:
-            seen.append(watcher.estimate(tick))
-            tick += 0.01
-        if "pad" in line:
-            watcher.feed(PadSample(line["t"], line["pad"], line["s_m"]))
-        else:
-            watcher.feed(palm_sample(line))
+    run = simulated("nominal", 107, 4.0)
+    seen = list(watched(observer.make(name, run.rig), run.events))
     assert all(math.isnan(e.observability) for e in seen if e.t < 1.0)
     assert all(math.isfinite(e.observability) for e in seen if e.t > 1.13)
     assert any(e.valid for e in seen if e.t > 1.13)

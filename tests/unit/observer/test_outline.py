@@ -38,12 +38,6 @@ def test_touched_are_all_normals_that_were_passed():
     assert np.flatnonzero(touched).tolist() == [0, 1, 2, 100, *range(350, 360)]
 
 
-def test_the_outline_is_the_series():
-    outline = outline_of(COEFFICIENTS, COVARIANCE, [np.column_stack([degrees(0, 30), degrees(180, 200)])])
-    assert outline.h == pytest.approx(basis(directions(), ORDER) @ COEFFICIENTS)
-    assert outline.touched.sum() == 31 + 21
-
-
 def test_the_band_is_what_is_left_after_the_best_rotation():
     """Against samples of the error, each rotated by least squares over the touched normals."""
     normals = np.column_stack([degrees(0, 40), degrees(150, 220)])

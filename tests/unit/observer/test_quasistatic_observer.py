@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from simulated import simulated
+from simulated import simulated, watched
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
 from palmd.messages import estimate_fields, named_state_is_finite, stamp
@@ -39,20 +39,9 @@ def events_of(run: BalancedRun, noise_m: float, seed: int = 0, mass: float = 0.1
     return events
 
 
-def replayed(events: list[Event], observer: QuasistaticObserver, until: float):
-    waiting = iter(events)
-    event = next(waiting, None)
-    for k in range(1, round(until / 0.01) + 1):
-        t = k * 0.01
-        while event is not None and event.t_sample <= t + 1e-9:
-            observer.feed(event)
-            event = next(waiting, None)
-        yield observer.estimate(t)
-
-
 def test_a_balanced_object_is_told_to_a_fraction_of_a_millimetre_and_honestly():
     run = balanced()
-    estimates = [e for e in replayed(events_of(run, 1e-4), QuasistaticObserver(RIG), 8.0) if e.valid]
+    estimates = [e for e in watched(QuasistaticObserver(RIG), events_of(run, 1e-4), 8.0) if e.valid]
     assert estimates[0].t < 2.5
     late = [e for e in estimates if e.t > 4.5]
     at = [round(e.t / 0.01) - 1 for e in late]
@@ -73,7 +62,7 @@ def test_what_it_says_of_an_object_with_friction_is_honest():
     for seed in (401, 402, 403, 404):
         run = simulated("friction", seed, 8.0)
         observer = QuasistaticObserver(run.rig)
-        for estimate in replayed(list(run.events), observer, 7.9):
+        for estimate in watched(observer, run.events, 7.9):
             if estimate.valid:
                 assert named_state_is_finite(estimate)
                 k = round(estimate.t / 0.01)
@@ -87,7 +76,7 @@ def test_what_it_says_of_an_object_with_friction_is_honest():
 def test_every_estimate_can_be_published():
     run = balanced(3.0)
     observer = QuasistaticObserver(RIG)
-    estimate = list(replayed(events_of(run, 1e-4), observer, 3.0))[-1]
+    estimate = list(watched(observer, events_of(run, 1e-4), 3.0))[-1]
     assert estimate.valid
     assert validate(ESTIMATE, stamp(estimate_fields(estimate), 1.0, 1.0, 1)) == []
     outline = observer.shape(3.0)
@@ -99,14 +88,14 @@ def test_every_estimate_can_be_published():
 
 def test_the_same_events_give_the_same_answers_and_late_ones_change_little():
     events = events_of(balanced(4.0), 1e-4)
-    first = list(replayed(events, QuasistaticObserver(RIG), 4.0))
-    again = list(replayed(events, QuasistaticObserver(RIG), 4.0))
+    first = list(watched(QuasistaticObserver(RIG), events, 4.0))
+    again = list(watched(QuasistaticObserver(RIG), events, 4.0))
     assert first[-1].r1 == again[-1].r1
     assert first[-1].psi == again[-1].psi
     swapped = events.copy()
     for i in range(300, len(events) - 3, 3):
         swapped[i], swapped[i + 2] = swapped[i + 2], swapped[i]
-    late = list(replayed(swapped, QuasistaticObserver(RIG), 4.0))
+    late = list(watched(QuasistaticObserver(RIG), swapped, 4.0))
     assert late[-1].r1 == pytest.approx(first[-1].r1, abs=1e-4)
 
 
@@ -114,7 +103,7 @@ def test_narrower_sets_follow_and_the_window_slides():
     run = balanced(26.0, swing=0.1)
     assert run.jumps == 0
     observer = QuasistaticObserver(RIG)
-    estimates = list(replayed(events_of(run, 1e-4), observer, 26.0))
+    estimates = list(watched(observer, events_of(run, 1e-4), 26.0))
     assert observer._rounds >= 4
     assert len(observer._nodes) == observer._nodes.maxlen
     late = [e for e in estimates if e.t > 22.0]
@@ -128,7 +117,7 @@ def test_after_a_jump_it_begins_anew():
     run = balanced(20.0)
     assert run.jumps == 1
     observer = QuasistaticObserver(RIG)
-    estimates = list(replayed(events_of(run, 1e-4), observer, 20.0))
+    estimates = list(watched(observer, events_of(run, 1e-4), 20.0))
     counts = [e.object_count for e in estimates]
     assert counts[1300] == 1
     assert counts[-1] == 2
@@ -144,7 +133,7 @@ def test_a_lifted_object_is_not_estimated_and_the_next_one_is_another():
     events = [e for e in events_of(run, 1e-4) if not 3.0 < e.t_sample < 3.6 or isinstance(e, PalmSample)]
     events.insert(0, PadLift(0.0, 1))
     observer = QuasistaticObserver(RIG)
-    estimates = list(replayed(events, observer, 8.0))
+    estimates = list(watched(observer, events, 8.0))
     by_time = {round(e.t, 2): e for e in estimates}
     assert by_time[2.9].valid
     assert not by_time[3.3].valid
@@ -156,7 +145,7 @@ def test_a_lifted_object_is_not_estimated_and_the_next_one_is_another():
 def test_a_lift_that_is_told_makes_it_invalid_at_once():
     events = events_of(balanced(4.0), 1e-4)
     observer = QuasistaticObserver(RIG)
-    assert list(replayed(events, observer, 3.5))[-1].valid
+    assert list(watched(observer, events, 3.5))[-1].valid
     observer.feed(PadLift(3.5, 2))
     assert not observer.estimate(3.51).valid
 
@@ -164,14 +153,14 @@ def test_a_lift_that_is_told_makes_it_invalid_at_once():
 def test_bad_events_are_counted_and_change_nothing():
     events = events_of(balanced(3.0), 1e-4)
     observer = QuasistaticObserver(RIG)
-    clean = list(replayed(events, QuasistaticObserver(RIG), 3.0))[-1]
+    clean = list(watched(QuasistaticObserver(RIG), events, 3.0))[-1]
     broken = []
     for i, event in enumerate(events):
         broken.append(event)
         if i % 50 == 0 and isinstance(event, PalmSample):
             broken.append(dataclasses.replace(event, angles=(math.nan, event.angles[1])))
             broken.append(PadSample(event.t_sample, 1, math.inf))
-    told = list(replayed(broken, observer, 3.0))[-1]
+    told = list(watched(observer, broken, 3.0))[-1]
     assert observer.late_dropped == len(broken) - len(events) > 0
     assert told.r1 == clean.r1
 
@@ -183,19 +172,24 @@ def test_constant_readings_and_parallel_palms_do_not_raise():
         for k in range(400):
             t = k * 0.01
             events += [PalmSample(t, (0.8, phi2)), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
-        for estimate in replayed(events, observer, 4.0):
+        for estimate in watched(observer, events, 4.0):
             assert not estimate.valid or named_state_is_finite(estimate)
         observer.reset()
 
 
-def test_beginnings_that_run_away_are_left_out():
-    run = balanced(2.0)
-    spread = Spread(0.02, 0.019, 0.0, 0.02)
+def judged(run: BalancedRun, spread: Spread) -> MultiStart:
+    """All initial conditions of the spread, integrated over the exact readings of a run."""
     beginnings = MultiStart(spread, run.readings[0], 0.0, 0.02, 0.01, softening=0.0)
     for here, there in zip(run.readings, run.readings[1:], strict=False):
         beginnings.step(here, there)
     for _ in range(BLOCKS):
         beginnings.judge()
+    return beginnings
+
+
+def test_beginnings_that_run_away_are_left_out():
+    run = balanced(2.0)
+    beginnings = judged(run, Spread(0.02, 0.019, 0.0, 0.02))
     weights = beginnings.weights()
     assert np.isfinite(beginnings.state).all()
     assert 0 < np.count_nonzero(weights == 0.0) < len(weights)
@@ -206,11 +200,6 @@ def test_the_conflict_tells_the_mean_radius_where_the_papers_errors_do_not():
     """Exact readings: the likeliest beginning is the true one, though all lie in balance."""
     run = balanced(8.0)
     true = (run.contacts.r1[0] + run.contacts.r2[0]) / 2
-    spread = Spread(true + 8e-4, 4e-3, 0.0, 1e-9)
-    beginnings = MultiStart(spread, run.readings[0], 0.0, 0.02, 0.01, softening=0.0)
-    for here, there in zip(run.readings, run.readings[1:], strict=False):
-        beginnings.step(here, there)
-    for _ in range(BLOCKS):
-        beginnings.judge()
+    beginnings = judged(run, Spread(true + 8e-4, 4e-3, 0.0, 1e-9))
     best = beginnings.mean[np.argmax(beginnings.weights())]
     assert abs(best - true) < 4e-4

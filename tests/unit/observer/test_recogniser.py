@@ -9,20 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from library import THETA, library, run_with
-from siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
+from library import library, run_with
 
 from palmd import observer
 from palmd.daemon.core import Core
 from palmd.events import DECIDED, ObjectEstimate, PadSample
 from palmd.messages import object_fields, stamp
-from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE
 from palmd.quantities import OBJECT
 from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import lines, replay, tick_fields
 from palmd.rig.world import default_config
-from palmd.score import score_outline
 from tools.published import validate
 
 
@@ -166,20 +163,3 @@ def test_a_replay_tells_it_each_second():
     objects = [line for line in told if isinstance(line.get("object"), dict)]
     assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])
     assert objects[-1]["object"]["best"] == outlines[6].name
-
-
-# ---- the study
-
-
-def test_siblings_are_similar_and_different():
-    bodies, outlines = library("odd", 34, 8)
-    everywhere = np.ones(360, dtype=bool)
-    for one, other in itertools.combinations([body.support.sample(THETA) for body in bodies], 2):
-        apart = score_outline(THETA, one, everywhere, other).e_h
-        assert difference(one, other) == pytest.approx(apart, abs=1e-6)
-        assert 0.99 * LEAST_M < apart < 1.01 * MOST_M
-    radii = [body.support.sample(THETA).mean() for body in bodies]
-    assert max(radii) / min(radii) < (1 + RADIUS_RANGE) / (1 - RADIUS_RANGE)
-    errors = [outline.h - body.support.sample(THETA) for body, outline in zip(bodies, outlines, strict=True)]
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(20e-6, rel=0.35)
-    assert stored(outlines).names == tuple(f"body {i}" for i in range(8))

@@ -91,7 +91,7 @@ class Tipped:
         first = normal_directions(tuple(self.record.palms[0, :2]), 0.0)[1] - LOWER.normal
         residuals = Residuals(sharp.library_for(2), self.record)
         self.guess = residuals.completed(Guess(np.array([[first, 0.0]]), self.p))
-        read = -residuals.contacts(self.guess) * np.sqrt(self.record.contact_variance)
+        read = -residuals.residuals(self.guess) * np.sqrt(self.record.contact_variance)
         read += random.normal(0.0, NOISE_M, len(read))
         pads = [replace(sample, s=float(s)) for sample, s in zip(silent, read, strict=True)]
         both: list[Event] = [*palms(), *pads]

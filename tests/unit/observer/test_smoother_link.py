@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +11,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from improvements import improvement
-from simulated import Run, simulated, swapped
+from simulated import Run, simulated, swapped, watched
 
 from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, Unexplained
@@ -20,20 +19,17 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import DISTRUSTED_S, SETTLED
 from palmd.observer.filter_catchup import LATEST_S, LEAD_S, FilterCatchUp
-from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import outline_sd
 from palmd.observer.incremental import IncrementalSmoother
-from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
-from palmd.observer.smoothing import Session, period
+from palmd.observer.smoothing import Session
 from palmd.observer.validity import CONFIRMED_M, CONTRADICTED_M
 from palmd.system.description import HingeMode, RigDescription
 
 Answers = Callable[[float], Improvement | None]
 
 KIND, SEED = "rig", 4
-TICK_S = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -104,15 +100,7 @@ def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improveme
 
 def ticks(run: Run, watcher: observer.Observer) -> Iterator[tuple[float, Estimate]]:
     """A causal replay."""
-    waiting = iter(run.events)
-    event = next(waiting, None)
-    for number in range(1, round(run.events[-1].t_sample / TICK_S) + 1):
-        t = number * TICK_S
-        while event is not None and event.t_sample <= t:
-            watcher.feed(event)
-            event = next(waiting, None)
-        watcher.improve(t)
-        yield t, watcher.estimate(t)
+    return ((estimate.t, estimate) for estimate in watched(watcher, run.events, run.events[-1].t_sample))
 
 
 def radii(run: Run, t: float) -> FloatArray:
@@ -281,7 +269,8 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
         assert newcomer.active
     x, P, nis = newcomer.state_at(until)
 
-    filters, palms = ShapeFilters(run.rig, 1, order=ORDER), PalmTracker(run.rig.palm_angle_noise)
+    filters = ShapeFilters(run.rig, 1, order=ORDER)
+    palms = filters.tracker(run.rig.palm_angle_noise)
     filters.bank.refill()
     filters.bank.x[:], filters.bank.P[:] = improvement.x, improvement.P
     filters.rig_error.values[:] = improvement.rig
@@ -292,28 +281,14 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
             palms.feed(event)
         if isinstance(event, PadSample) and event.t_sample >= improvement.t:
             reading = filters.rig_error.on_time(event)
-            steps = math.ceil((reading.t_sample - t) / LONGEST_STEP_S)
-            for begin, end in itertools.pairwise(np.linspace(t, reading.t_sample, steps + 1)):
-                filters.predict(begin, end - begin, palms)
+            filters.propagate(t, reading.t_sample, palms, math.inf)
             t = reading.t_sample
             filters.fuse_pad(reading, variance, palms, palms.repeated)
-    filters.predict(t, until - t, palms)
+    filters.propagate(t, until, palms, math.inf)
     sd = np.sqrt(np.diagonal(P))
     assert np.all(np.abs(filters.bank.x[0] - x) < 1e-3 * sd)
     np.testing.assert_allclose(np.sqrt(np.diagonal(filters.bank.P[0])), sd, rtol=1e-3)
     assert 0.5 < nis < 1.5
-
-
-def test_improvements_are_sharper_the_more_was_read(answers: Answers) -> None:
-    theta = np.linspace(0.0, 2 * np.pi, 90)
-    spreads = []
-    for end in (2.0, 4.0, 6.0):
-        improvement = answers(end)
-        assert improvement is not None
-        assert improvement.t == pytest.approx(end, abs=0.05)
-        rows = shape.basis(theta, ORDER)
-        spreads.append(float(np.sqrt(np.einsum("ij,jk,ik->i", rows, improvement.P[6:, 6:], rows)).min()))
-    assert spreads[0] > spreads[1] > spreads[2]
 
 
 def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
@@ -327,12 +302,6 @@ def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
     assert len(watcher._link._recent) <= 100 * MEMORY_S
     assert smoothing.count == 2000
     assert watcher.late_dropped == 2
-
-
-def test_the_smoother_runs_ever_more_rarely() -> None:
-    assert period(0.5) == 0.25
-    assert period(8.0) == 1.0
-    assert period(60.0) == 2.0
 
 
 def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:

@@ -44,7 +44,6 @@ class Filters(Protocol):
     """A bank with its process and measurement models; safe inside the loop except construction, which may compile C."""
 
     name: str
-    bank: Bank
     order: int  # harmonics of its outlines
     fuses_palms: bool  # whether reports of the palms are readings; else the palms' motion is an input
     supports_rollout: bool  # whether `model.rollout` can predict motions from its state
@@ -52,6 +51,10 @@ class Filters(Protocol):
     provisional_spread: FloatArray | None  # the same for the bank's states, from an improvement not yet established
     overconfidence: Overconfidence
     curvature: FloatArray  # rows that map the state to v (m) on `CURVATURE_NORMALS` normals
+
+    @property
+    def bank(self) -> Bank:
+        """The bank."""
 
     def tracker(self, angle_noise: float) -> TrackedPalms:
         """A new tracker of the palms for these filters; `angle_noise`: 1σ of a measured angle (rad)."""
@@ -94,23 +97,6 @@ class Filters(Protocol):
 
     def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance (for the constants only) in these coordinates, with all of the filter's harmonics."""
-
-
-class _Predicts(Protocol):
-    bank: Bank
-
-    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
-        """Propagate the bank from `t` to `t + dt`."""
-
-
-def propagate(filters: _Predicts, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
-    """`Filters.propagate` in equal steps of at most `LONGEST_STEP_S`; safe inside the loop."""
-    gap = until - t
-    steps = max(1, math.ceil(gap / LONGEST_STEP_S))
-    for _ in range(steps):
-        filters.predict(t, gap / steps, palms)
-        t += gap / steps
-    filters.bank.age_scores(gap / repeated)
 
 
 def curvature_rows(order: int = shape.HARMONICS) -> FloatArray:

@@ -14,11 +14,11 @@ from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import (
     CURVATURE_NORMALS,
     GUESSED_ACCELERATION_SD,
+    LONGEST_STEP_S,
     SMALLEST_RADIUS_M,
     Overconfidence,
     curvature_rows,
     pad_update,
-    propagate,
 )
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
@@ -120,10 +120,12 @@ class ExtendedFilters:
         return Belief(slice(X.RHO, extended.N), mean, sd)
 
     def propagate(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
-        propagate(self, t, until, palms, repeated)
-
-    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
-        self.bank.predict(dt, palms.at(t)[4:], palms.jerk, self._rig)
+        gap = until - t
+        steps = max(1, math.ceil(gap / LONGEST_STEP_S))  # equal ones
+        for _ in range(steps):
+            self.bank.predict(gap / steps, palms.at(t)[4:], palms.jerk, self._rig)
+            t += gap / steps
+        self.bank.age_scores(gap / repeated)
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
         del palms  # the palms' angles are part of the state

@@ -13,22 +13,20 @@ from palmd.model.dynamics import VIBRATION_ERROR_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
-from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
-from palmd.observer.compiled_fusion import CompiledBank, CompiledPalms, CompiledRig, Routines
+from palmd.observer.bank import SCORE_MEMORY_S, Belief
+from palmd.observer.compiled_fusion import CompiledBank, CompiledPalms, CompiledRig
 from palmd.observer.filters.base import (
     CURVATURE_NORMALS,
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
     Overconfidence,
     curvature_rows,
-    pad_update,
-    propagate,
 )
-from palmd.observer.palms import PalmTracker, TrackedPalms
+from palmd.observer.palms import TrackedPalms
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import CONTACTS, JOINT_RATES, JOINTS, OPENING, PALMS
+from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
 _LOW, _HIGH = slice(0, shape_map.N), slice(shape_map.N, None)
 
@@ -52,7 +50,7 @@ def _gain(P: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(P[_HIGH, _HIGH], P[_HIGH, _LOW]).T)
 
 
-_ANGLES, _CONTACTS = ([NAMED.index(name) for name in names] for names in (JOINTS, CONTACTS))
+_ANGLES = [NAMED.index(name) for name in JOINTS]
 _JOINTS_AT = [NAMED.index(name) for name in (*JOINTS, *JOINT_RATES)]
 BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 
@@ -75,13 +73,8 @@ class ShapeFilters:
         memory_s: float = SCORE_MEMORY_S,
         order: int = shape.HARMONICS,
         overconfidence: Overconfidence = BLIND_OVERCONFIDENCE,
-        *,
-        compiled: bool = True,
     ):
-        """Bind the kernels of `size` filters; may compile C. `memory_s` as in `Bank`.
-
-        With `compiled` False the kernels are called from NumPy code, the twin of `model/fusion.c`.
-        """
+        """Bind the kernels of `size` filters; may compile C. `memory_s` as in `Bank`."""
         self.overconfidence = overconfidence
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
@@ -91,26 +84,12 @@ class ShapeFilters:
         self._added_variances[:, _JOINTS_AT] = np.ravel(rig.rounding_sd) ** 2
         self._added_variances[:, _ANGLES[0]] += rig.gravity_sd**2  # readings give φ1 relative to gravity, not the rig
         self._added_variances[0, _ANGLES] += rig.angle_sd**2
-        self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
-        update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
-        self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
+        self._rig = rig_inputs(rig)
+        updates = dict.fromkeys(shape_map.UPDATES, shape_map.UPDATE_INPUTS + len(PALMS) * rig.curved)
+        self.bank = CompiledBank(library, size, n, updates, inputs, memory_s, self._rig, tuple(self._added_variances))
         self.order = order
-        self._x, self._P = np.zeros(n), np.zeros((n, n))
-        self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
-        self._u = np.zeros(shape_map.PREDICTION_INPUTS)
-        self._v = np.zeros(shape_map.PALM_INPUTS + RIG_INPUTS)
-        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n + len(PALMS), len(NAMED)))
-        self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
-        self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
-        self._routines = Routines(library) if compiled and library.path is not None else None
-        self.compiled = (
-            None
-            if self._routines is None
-            else CompiledBank(self._routines, self.bank, self._rig, tuple(self._added_variances))
-        )
-        self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
         self.provisional_spread: FloatArray | None = None
@@ -126,7 +105,7 @@ class ShapeFilters:
         self._rig_error, self.compiled_rig = error, CompiledRig(error)
 
     def tracker(self, angle_noise: float) -> TrackedPalms:
-        return PalmTracker(angle_noise) if self._routines is None else CompiledPalms(self._routines, angle_noise)
+        return CompiledPalms(self.bank.routines, angle_noise)
 
     def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         del palms, t  # the palms are not part of the state
@@ -174,22 +153,10 @@ class ShapeFilters:
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
     def propagate(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
-        if self.compiled is not None and isinstance(palms, CompiledPalms):
-            self.compiled.propagate(self.compiled_rig, palms, t, until, repeated)
-        else:
-            propagate(self, t, until, palms, repeated)
-
-    def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
-        """Propagate the bank from `t` to `t + dt`."""
-        self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
+        self.bank.propagate(self.compiled_rig, palms, t, until, repeated)
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
-        if self.compiled is not None and isinstance(palms, CompiledPalms):
-            self.compiled.fuse_pad(self.compiled_rig, palms, sample, variance, repeated)
-            return
-        angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
-        s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
-        self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
+        self.bank.fuse_pad(self.compiled_rig, palms, sample, variance, repeated)
 
     def fuse_events(
         self, events: Sequence[Event], t: float, palms: TrackedPalms, variances: FloatArray
@@ -199,18 +166,7 @@ class ShapeFilters:
         Readings from before the last fused one are skipped. `variances`: of each pad's readings (m²). Returns the time
         of the last fused reading (s) and the number of readings fused.
         """
-        if self.compiled is not None and isinstance(palms, CompiledPalms):
-            return self.compiled.fuse_events(self.compiled_rig, palms, events, variances, t)
-        read = 0
-        for event in events:
-            if isinstance(event, PalmSample):
-                palms.feed(event)
-            elif isinstance(event, PadSample) and (sample := self.rig_error.on_time(event)).t_sample >= t:
-                self.propagate(t, sample.t_sample, palms, math.inf)
-                t = sample.t_sample
-                self.fuse_pad(sample, float(variances[sample.pad - 1]), palms, palms.repeated)
-                read += 1
-        return t, read
+        return self.bank.fuse_events(self.compiled_rig, palms, events, variances, t)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
@@ -223,33 +179,7 @@ class ShapeFilters:
         self.bank.P[:] += np.diag(variance)
 
     def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
-        if self.compiled is not None and isinstance(palms, CompiledPalms):
-            return self.compiled.named(self.compiled_rig, palms, member, t, dt, self._present_spread())
-        self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
-        self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
-        self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
-        self._predict()
-        self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
-        self._named()
-        n, error, y, spread = self.bank.n, self.rig_error, self._y, self._present_spread()
-        J, by_angles = self._J[:n], self._J[n:]
-        variance = ((self._P_next @ J) * J).sum(axis=0)
-        variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
-        variance += self._added_variances[int(spread is not None)]
-        by_height = np.array(
-            [error.lifts(k, y[_ANGLES[1]], self._x_next[shape_map.Z.SHAPE]) for k in range(len(PALMS))]
-        )
-        y[_CONTACTS] += by_height @ error.heights(error.values)
-        y[_ANGLES] -= error.bows(error.values)  # angles of the palms, not of their bowed surfaces at the contacts
-        if spread is not None:
-            steps = J.T @ spread[:n]
-            if len(rig_steps := spread[n:]):
-                bows = error.bows(rig_steps)
-                steps += by_angles.T @ (rig_steps[[R.TILT, R.TURN]] + bows)
-                steps[_ANGLES] -= bows
-                steps[_CONTACTS] += by_height @ error.heights(rig_steps)
-            variance += (steps**2).sum(axis=1)
-        return y.tolist(), variance.tolist()
+        return self.bank.named(self.compiled_rig, palms, member, t, dt, self._present_spread())
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(self._palms_at(t, palms), self._rig_now())
