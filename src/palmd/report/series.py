@@ -26,6 +26,9 @@ FOLLOWING_RATIO = "following_ratio"
 SD = "sd."
 """Prefix of a field's name for the column of its standard deviation."""
 
+SDS = 2.0
+"""Half-width of every band of the report in standard deviations."""
+
 CONSTANTS = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is BODY)
 """Estimated fields that are constants of the object."""
 

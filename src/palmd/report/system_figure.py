@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,10 +9,20 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.quantities import Quantity
-from palmd.report.axes import BLACK, BLUE, GREY, band, in_view, invalid_shaded, line, over_time, panels
-from palmd.report.errors import SDS, remove_gauge
+from palmd.report.axes import (
+    BLUE,
+    dashed_line,
+    estimate_lines,
+    in_view,
+    invalid_shaded,
+    legend_above,
+    line,
+    over_time,
+    panels,
+)
+from palmd.report.errors import remove_gauge
 from palmd.report.motion_figure import draw_states
-from palmd.report.series import SD, Series
+from palmd.report.series import Series
 
 COMMANDED = "_cmd_"
 PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
@@ -34,20 +43,15 @@ def draw_estimate(figure: FigureBase, series: Series, quantities: Sequence[Quant
     """Draw each quantity with its band where valid, and an emulated rig's truth dashed."""
     grid = panels(figure, len(quantities))
     for axes, quantity in zip(grid, quantities, strict=True):
-        factor, t = quantity.shown.factor, series.estimate.t
-        published = series.estimate[quantity.name] * factor
-        value = np.where(series.valid, published, math.nan)
-        reach = SDS * series.estimate[SD + quantity.name] * factor
-        band(axes, t, value - reach, value + reach, BLUE, f"±{SDS:g} sd")
-        line(axes, t, np.where(series.valid, np.nan, published), color=GREY, linewidth=0.5, label="not valid")
-        line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
+        factor = quantity.shown.factor
+        value = estimate_lines(axes, series, quantity)
         true = truth_of(series, quantity.name) * factor
-        line(axes, series.truth.t, true, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="truth")
-        in_view(axes, value if series.valid.any() else published, true)
+        dashed_line(axes, series.truth.t, true, "truth")
+        in_view(axes, value if series.valid.any() else series.estimate[quantity.name] * factor, true)
         invalid_shaded(axes, series)
         axes.set_ylabel(quantity.label)
         over_time(axes, series, last=axes in grid[-2:])
-    grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=4, borderaxespad=0.0)
+    legend_above(grid[0])
 
 
 def truth_of(series: Series, name: str) -> FloatArray:
@@ -71,12 +75,8 @@ def draw_actuators(figure: FigureBase, series: Series, row_count: int) -> None:
         factor = quantity.shown.factor
         commanded, actual = (series.motion[name] * factor for name in (f"{stem}{COMMANDED}{unit}", quantity.name))
         line(axes, series.motion.t, actual, color=BLUE, linewidth=1.2, label="actual")
-        line(axes, series.motion.t, commanded, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="commanded")
+        dashed_line(axes, series.motion.t, commanded, "commanded")
         in_view(axes, actual, commanded)
         axes.set_ylabel(f"{stem} ({quantity.shown.unit})")
-    grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
-    key = draw_states(grid[-1], series)
-    for axes in grid:
-        over_time(axes, series, last=axes is grid[-1])
-    if key:
-        figure.legend(handles=key, loc="outside lower center", ncols=6)
+    legend_above(grid[0], 2)
+    draw_states(figure, grid, series)

@@ -17,7 +17,6 @@ from palmd.record.damage import damage_text
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import (
     HIDDEN_STATE,
-    SDS,
     STATE,
     Errors,
     body_at,
@@ -27,7 +26,7 @@ from palmd.report.errors import (
     outline_errors,
 )
 from palmd.report.findings import NOTE, RunVerdict
-from palmd.report.series import SD, Interval, OutlineAt, Series
+from palmd.report.series import SD, SDS, Interval, OutlineAt, Series
 from palmd.system.mechanism import ENDS, JOINTS
 
 _COUNTER_PREFIXES = tuple(f"{end}_" for end in (*ENDS, "bus", "smoother", "explorer"))

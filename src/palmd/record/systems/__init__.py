@@ -58,12 +58,11 @@ class System(LogParser, Protocol):
         """
         ...
 
-    def tick_count(self, log: Any) -> int:
-        """Number of ticks that `estimate` yields."""
-        ...
-
     def estimate(self, log: Any, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
-        """The observer's estimates tick by tick, each from earlier events only; raises `NotYetError`."""
+        """The observer's estimates for `replay.tick_count(log)` ticks, each from earlier events; raises `NotYetError`.
+
+        Systems with a single observer ignore `observer`.
+        """
         ...
 
 
