@@ -194,10 +194,7 @@ class _IntervalBuilder:
 
     def until(self, t: float) -> tuple[Interval, ...]:
         """All intervals, the last one extended to `t`."""
-        if not self._intervals:
-            return ()
-        *before, last = self._intervals
-        return (*before, Interval(last.label, last.begin, t))
+        return tuple(self._intervals[:-1]) + tuple(replace(last, end=t) for last in self._intervals[-1:])
 
 
 class _RunReader:
