@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from palmd.jsonvalues import or_none
 from palmd.messages import events_of
 from palmd.quantities import EVENTS, STAMP, TRUTH
-from palmd.record.eventlog import event_line, header_line
+from palmd.record.eventlog import event_line, header_line, line_text
 from palmd.record.logline import Line
 from palmd.record.run import Run
 
@@ -25,9 +24,9 @@ def write_log(run: Run, path: Path, done: Callable[[], None]) -> None:
     """
     run.event_log()  # raises RunError if there is nothing to write
     with path.open("w", encoding="utf-8") as stream:
-        stream.write(_text(header_line(run.rig)))
+        stream.write(line_text(header_line(run.rig)))
         for line in _lines(run, done):
-            stream.write(_text(line))
+            stream.write(line_text(line))
 
 
 def _lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
@@ -48,7 +47,3 @@ def _lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
 def _truth_line(fields: Line) -> Line:
     values = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
     return {"t": fields["mono_ns"] * 1e-9, "truth": values}
-
-
-def _text(line: Line) -> str:
-    return json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n"
