@@ -11,7 +11,9 @@ from palmd.messages import stamp
 from palmd.quantities import CONTACT, ESTIMATE, LOOP, MOTION, SHAPE, STATE
 from palmd.record.mcapfile import RawMessage, RunWriter
 from palmd.record.metadata import preface
+from palmd.record.run import read_run
 from palmd.record.runfile import RunFile
+from palmd.report.series import series_of
 
 BEGIN = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
 TICK_S = 0.01
@@ -146,3 +148,9 @@ def write(folder, messages, *, finish=True):
     else:
         file.abandon()
     return file.path
+
+
+def series(folder, messages, **how):
+    """A run of these messages as a report reads it."""
+    run = read_run(write(folder, messages, **how))
+    return series_of(run, run.survey())
