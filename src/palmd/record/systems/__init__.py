@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from palmd.record.logline import BadLineError, Line, shown
 from palmd.record.logreader import LogParser, read_log_as
@@ -36,6 +36,19 @@ class Reconstructed:
     curves: Callable[[str], OutlineCurves] | None
     reason: str
     mesh: Mesh | None = None
+
+
+Rig = TypeVar("Rig")
+LogEvent = TypeVar("LogEvent")
+
+
+@dataclass(frozen=True, slots=True)
+class SystemLog(Generic[Rig, LogEvent]):
+    """A run of a system other than two palms: the rig, its events, and notes on omitted lines."""
+
+    rig: Rig
+    events: tuple[LogEvent, ...]
+    notes: tuple[str, ...] = ()
 
 
 class System(LogParser, Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import curves_factory
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
-from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
@@ -30,13 +30,8 @@ _MAX_DISTANCE_M = 1.0
 _PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
 
 
-@dataclass(frozen=True, slots=True)
-class PivotLog:
-    """A run: the rig, its events in file order, and notes on omitted lines."""
-
-    rig: PivotRig
-    events: tuple[PivotEvent, ...]
-    notes: tuple[str, ...] = ()
+PivotLog = SystemLog[PivotRig, PivotEvent]
+"""Its events are in file order."""
 
 
 class PivotLogParser:
@@ -91,7 +86,7 @@ class PivotLogParser:
 
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
         """Build the log from rig, events and notes."""
-        return PivotLog(rig, events, notes)
+        return SystemLog(rig, events, notes)
 
 
 class Pivot(PivotLogParser):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
-from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.record.vibration_line import read_vibration
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
@@ -31,13 +30,8 @@ from palmd.three_palms_messages import estimate_fields, shape_fields
 EDGE_M = 0.01  # distance beyond the pad's edge up to which a reading is accepted
 
 
-@dataclass(frozen=True, slots=True)
-class ThreePalmsLog:
-    """A run: the rig, its events in the order of their sample times, and notes on omitted lines."""
-
-    rig: ThreePalmsRig
-    events: tuple[PadSample | PalmSample, ...]
-    notes: tuple[str, ...]
+ThreePalmsLog = SystemLog[ThreePalmsRig, PadSample | PalmSample]
+"""Its events are in the order of their sample times."""
 
 
 class ThreePalms:
@@ -85,7 +79,7 @@ class ThreePalms:
             yield PalmSample(t, angle, rate, acceleration) if planned else PalmSample(t, angle)
 
     def log(self, rig: ThreePalmsRig, events: tuple[Any, ...], notes: tuple[str, ...]) -> ThreePalmsLog:
-        return ThreePalmsLog(rig, tuple(sorted(events, key=lambda event: event.t_sample)), notes)
+        return SystemLog(rig, tuple(sorted(events, key=lambda event: event.t_sample)), notes)
 
     def known_to(self, log: ThreePalmsLog, sds: Mapping[str, float]) -> ThreePalmsLog:
         if any(sds.values()):
