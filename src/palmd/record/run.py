@@ -313,7 +313,7 @@ def read_any_run(path: Path) -> AnyRun:
             values["observer"]["shape"] = None  # a path on the machine that recorded it
         config = model.model_validate(values)
     with _reading(path, "description of the rig"):
-        described = TypeAdapter(kind.rig_type).validate_python(json.loads(preface.attachments[RIG]))
+        described: Any = TypeAdapter(kind.rig_type).validate_python(json.loads(preface.attachments[RIG]))
     return kind(path, layout, metadata, preface, config, described)
 
 
