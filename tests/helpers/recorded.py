@@ -9,7 +9,7 @@ from palmd.config.two_palms import Config
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.messages import events_fields, info_fields, stamp
 from palmd.quantities import EVENTS, INFO, LOOP
-from palmd.record.mcapfile import RawMessage
+from palmd.record.mcapfile import RawMessage, RunWriter
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
 from palmd.rig.world import default_config
@@ -63,3 +63,14 @@ def frames(topic, fields, number, t=0.0):
     """As the bus carries it."""
     raw = message(topic, fields, number, t)
     return [topic.encode(), raw.payload, b"%.6f" % (T0 + t)]
+
+
+def written(path, some, preface, *, compressed=False, finish=True):
+    """A file of these messages; its path."""
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, preface, 0, compressed=compressed)
+        for one in some:
+            writer.write(one)
+        if finish:
+            writer.finish()
+    return path

@@ -9,9 +9,11 @@ import recorded
 
 from palmd.messages import stamp
 from palmd.quantities import CONTACT, ESTIMATE, LOOP, MOTION, SHAPE, STATE
-from palmd.record.mcapfile import RawMessage, RunWriter
+from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
+from palmd.record.run import read_run
 from palmd.record.runfile import RunFile
+from palmd.report.series import series_of
 
 BEGIN = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
 TICK_S = 0.01
@@ -122,27 +124,31 @@ def told(seconds, *, observer="shape", shapes=True, truths=True, valid=True, sec
 
 def write_packed(path, messages):
     """The messages in chunks, whose checksums vouch for them whatever they say; the file."""
-    began = BEGIN.timestamp()
-    with path.open("wb") as stream:
-        writer = RunWriter(stream, preface(recorded.config(path.parent), BEGIN.isoformat()), 0, compressed=True)
-        for topic, fields, t, number in messages:
-            t_ns = round((began + t) * 1e9)
-            payload = msgpack.packb(stamp(dict(fields), began + t, 100.0 + t, number))
-            writer.write(RawMessage(topic, t_ns, t_ns, number, payload))
-        writer.finish()
-    return path
+    begin = preface(recorded.config(path.parent), BEGIN.isoformat())
+    return recorded.written(path, map(_raw, messages), begin, compressed=True)
+
+
+def _raw(message):
+    topic, fields, t, number = message
+    t_ns = round((BEGIN.timestamp() + t) * 1e9)
+    payload = msgpack.packb(stamp(dict(fields), BEGIN.timestamp() + t, 100.0 + t, number))
+    return RawMessage(topic, t_ns, t_ns, number, payload)
 
 
 def write(folder, messages, *, finish=True):
     """The messages as a recording; the file."""
     file = RunFile(folder, preface(recorded.config(folder), BEGIN.isoformat()), BEGIN)
-    for topic, fields, t, number in messages:
-        stamped = stamp(dict(fields), BEGIN.timestamp() + t, 100.0 + t, number)
-        t_ns = round((BEGIN.timestamp() + t) * 1e9)
-        file.write(RawMessage(topic, t_ns, t_ns, number, msgpack.packb(stamped)))
+    for message in messages:
+        file.write(_raw(message))
     file.flush()
     if finish:
         file.finish()
     else:
         file.abandon()
     return file.path
+
+
+def series(folder, messages, **how):
+    """A run of these messages as a report reads it."""
+    run = read_run(write(folder, messages, **how))
+    return series_of(run, run.survey())

@@ -146,10 +146,9 @@ def _make(make: Callable[[], str], result: Connection) -> None:
 
 
 def _common_parts() -> list[Part]:
-    from palmd.record import jsontext
     from palmd.rig import vibrating_plant
 
-    return [("emulated rig", vibrating_plant.backend), ("numbers as text", jsontext.backend)]
+    return [("emulated rig", vibrating_plant.backend)]
 
 
 def _other_forms() -> list[Part]:

@@ -10,7 +10,7 @@ from palmd.cli.logs import add_calibration_argument, open_output, read_any
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
-from palmd.record.replay import texts
+from palmd.record.replay import texts, tick_count
 from palmd.record.systems import NotYetError
 
 
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{arguments.log}: {error}") from None
     with (
         open_output(arguments.output, arguments.log) as stream,
-        Progress(f"{arguments.observer} observer", system.tick_count(log), "ticks") as progress,
+        Progress(f"{arguments.observer} observer", tick_count(log), "ticks") as progress,
     ):
         for tick in ticks:
             for line in texts(tick):

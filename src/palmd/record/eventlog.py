@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
 
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
@@ -260,10 +259,9 @@ def _calibration_sd(line: Line) -> Line:
 # ---------------------------------------------------------------------------------------------------- writing
 
 
-def write_log(stream: TextIO, rig: RigDescription, events: Iterable[Event]) -> None:
-    """Write a run as an event log. The format has no line for a `PadLift`; it shows as a gap in the readings."""
-    for line in (header_line(rig), *filter(None, map(event_line, events))):
-        stream.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
+def line_text(line: Line) -> str:
+    """One line of a log as text."""
+    return json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def header_line(rig: RigDescription) -> Line:
@@ -322,7 +320,7 @@ def _calibration_sd_of(rig: RigDescription, name: str) -> float:
 
 
 def event_line(event: Event) -> Line | None:
-    """One event as a line; None for events that the format does not have."""
+    """One event as a line; None for a `PadLift`, which shows as a gap in the readings."""
     if isinstance(event, PadSample):
         fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
         return {"t": event.t_sample} | _without_none(fields)

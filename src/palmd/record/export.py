@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal, get_args
 
-from palmd.messages import Fields
+from palmd.jsonvalues import or_none
+from palmd.messages import Fields, events_of
+from palmd.quantities import EVENTS, STAMP, TRUTH
+from palmd.record.eventlog import event_line, header_line, line_text
 from palmd.record.export_csv import write_csv, write_zip
 from palmd.record.export_json import write_json
-from palmd.record.export_log import write_log
+from palmd.record.logline import Line
 from palmd.record.outline_curves import OutlineCurves
 from palmd.record.outline_files import Writer, writer_of
 from palmd.record.run import AnyRun, Run, RunError, read_any_run
@@ -30,6 +34,7 @@ _SUFFIXES: dict[str, ExportFormat] = {
 }
 DRAWINGS: dict[ExportFormat, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
 """Formats of a single outline, with their suffixes."""
+_STAMP = {field.name for field in STAMP}
 OTHERS = "export its events as CSV tables (a folder) or as .mcap"
 _FOLDERS = ("csv", "lerobot")
 _TWO_PASS_FORMATS = ("csv", "mcap-json")
@@ -103,9 +108,37 @@ def _writer(export_format: ExportFormat, target: Path) -> Callable[[AnyRun, Path
 
 
 def _write_log(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
+    """Write every event in the order in which the observer received it, interleaved with an emulated rig's truth.
+
+    The format has no line for the end of a contact; it shows as a gap in the readings.
+    """
     if not isinstance(run, Run):
         raise ExportError(f"{run.path}: event logs of {SYSTEMS[run.system].words} cannot be written; {OTHERS}")
-    write_log(run, path, done)
+    run.event_log()  # raises RunError if there is nothing to write
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write(line_text(header_line(run.rig)))
+        for line in _log_lines(run, done):
+            stream.write(line_text(line))
+
+
+def _log_lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
+    """Events, each preceded by the truth up to its time; truth messages arrive before the daemon's events."""
+    truths: deque[Line] = deque()
+    for message in run.messages():
+        if message.topic == TRUTH.name:
+            truths.append(_truth_line(message.fields))
+        elif message.topic == EVENTS.name:
+            for line in filter(None, map(event_line, events_of(message.fields))):
+                while truths and truths[0]["t"] <= line["t"]:
+                    yield truths.popleft()
+                yield line
+        done()
+    yield from truths
+
+
+def _truth_line(fields: Line) -> Line:
+    values = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
+    return {"t": fields["mono_ns"] * 1e-9, "truth": values}
 
 
 def _write_outline(drawn: Writer, run: AnyRun, path: Path, done: Callable[[], None]) -> None:

@@ -59,12 +59,6 @@ class IndexedRun:
     mtime_ns: int
     summary: RunSummary
 
-    def with_note(self, note: str) -> IndexedRun:
-        """A copy with the note from the file beside the recording."""
-        if not note:
-            return self
-        return replace(self, summary=replace(self.summary, notes=(*self.summary.notes, note)))
-
 
 def indexed(
     folder: Path, *, rebuild: bool = False, progress: Callable[[int, int], None] | None = None
@@ -86,7 +80,7 @@ def indexed(
     runs = [known[name] for name, _, _ in files]
     if stale or len(known) > len(files):
         _write(folder / NAME, runs)
-    return [run.with_note(_note(folder / run.name, notes)) for notes in [_notes(folder)] for run in runs]
+    return [_with_note(folder, run) for run in runs]
 
 
 def annotate(recording: Path, note: str) -> Path:
@@ -119,18 +113,13 @@ def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
                 yield entry.name, status.st_size, status.st_mtime_ns
 
 
-def _notes(folder: Path) -> frozenset[str]:
-    with os.scandir(folder) as entries:
-        return frozenset(entry.name for entry in entries if entry.name.endswith(NOTE_SUFFIX))
-
-
-def _note(recording: Path, notes: frozenset[str]) -> str:
-    path = recording.with_suffix(NOTE_SUFFIX)
-    if path.name not in notes:
-        return ""
+def _with_note(folder: Path, run: IndexedRun) -> IndexedRun:
+    """The run with the note from the file beside its recording, if there is one."""
     with contextlib.suppress(OSError):
-        return " ".join(path.read_text(encoding="utf-8", errors="replace").split())
-    return ""
+        text = (folder / run.name).with_suffix(NOTE_SUFFIX).read_text(encoding="utf-8", errors="replace")
+        if note := " ".join(text.split()):
+            return replace(run, summary=replace(run.summary, notes=(*run.summary.notes, note)))
+    return run
 
 
 def _is_current(known: IndexedRun | None, file: tuple[str, int, int]) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median_low
@@ -212,12 +212,10 @@ def is_plausible(message: RawMessage, *, same_version: bool) -> bool:
         return True
     if not all(isinstance(value, kinds[name]) for name, value in fields.items() if name in kinds):
         return False
-    return kinds.keys() <= fields.keys() or all(map(_known(message.topic, kinds), fields))
-
-
-def _known(topic: str, kinds: Mapping[str, Any]) -> Callable[[str], bool]:
-    families = _FAMILIES[topic]
-    return lambda name: name in kinds or name in _STAMPED or any(map(name.startswith, families))
+    families = _FAMILIES[message.topic]
+    return kinds.keys() <= fields.keys() or all(
+        name in kinds or name in _STAMPED or name.startswith(families) for name in fields
+    )
 
 
 class _Scan:
@@ -228,8 +226,7 @@ class _Scan:
         self.spans: list[tuple[int, int, int]] = []  # begin, end, first arrival
         self._open = False
         self._broken = False
-        self._lost: list[LostStretch] = []
-        self._waiting = 0  # last stretches in `_lost` that no message has followed yet
+        self._lost: list[LostStretch] = []  # `before_ns` is None until a message follows
         self._names: defaultdict[int, Counter[str]] = defaultdict(Counter)
         self._metadata: dict[str, Mapping[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
@@ -318,11 +315,10 @@ class _Scan:
 
     def _is_foreign(self, content: bytes) -> bool:
         """Whether a message was added by another program; counts it."""
-        channel = MESSAGE_HEAD.unpack_from(content)[0]
-        if channel not in self._foreign_channels:
-            return False
-        self._foreign[self._foreign_channels[channel]] += 1
-        return True
+        topic = self._foreign_channels.get(MESSAGE_HEAD.unpack_from(content)[0])
+        if topic is not None:
+            self._foreign[topic] += 1
+        return topic is not None
 
     @property
     def _same_version(self) -> bool:
@@ -348,11 +344,8 @@ class _Scan:
         self._latest.append(log_ns)
         if self._begin_ns < 0:
             self._begin_ns = log_ns
-        if self._waiting:
-            for number in range(len(self._lost) - self._waiting, len(self._lost)):
-                one = self._lost[number]
-                self._lost[number] = LostStretch(one.begin, one.end, one.after_ns, log_ns)
-            self._waiting = 0
+        if self._lost and self._lost[-1].before_ns is None:
+            self._lost = [replace(each, before_ns=log_ns) if each.before_ns is None else each for each in self._lost]
         self._last_ns = log_ns
         if self._open:
             begin, _, first = self.spans[-1]
@@ -368,11 +361,10 @@ class _Scan:
             self._preface_bytes += end - begin
         elif self._after_data:
             self._index_bytes += end - begin
-        elif self._lost and self._waiting and self._lost[-1].end == begin:
-            self._lost[-1] = LostStretch(self._lost[-1].begin, end, self._lost[-1].after_ns, None)
+        elif self._lost and self._lost[-1].before_ns is None and self._lost[-1].end == begin:
+            self._lost[-1] = replace(self._lost[-1], end=end)
         else:
             self._lost.append(LostStretch(begin, end, self._last_ns if self._count else None, None))
-            self._waiting += 1
 
     def layout(self, data: Buffer) -> Layout:
         """The layout after the whole file was processed."""

@@ -45,7 +45,7 @@ SUMMARY = frozenset(
 )
 """Records that occur in the summary section only."""
 
-_CHUNK_HEAD, _CHUNK_TIMES = struct.Struct("<QQQI"), 16
+_CHUNK_HEAD = struct.Struct("<QQQI")
 _LENGTH, _LONG_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 _FIXED = {Opcode.DATA_END: 4, Opcode.FOOTER: 20, Opcode.SUMMARY_OFFSET: 17}
 _SELF_CHECKED = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.FOOTER)

@@ -70,7 +70,7 @@ class Recheck:
                     self._observer.feed(event)
                 self._observer.improve(tick.t)
                 estimate = self._observer.estimate(tick.t)
-            now = self._run.estimate_fields(estimate)
+            now = self._run.codec.estimate_fields(estimate)
             t_ns = round(tick.t * 1e9)
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)

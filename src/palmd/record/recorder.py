@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from palmd.bus.command_client import CommandClient
@@ -57,7 +57,7 @@ def record(
             _drain(subscriber, recording, POLL_S, clock)
             recording.flush(clock())
             error = syncer.failed()
-            if error is not None:
+            if isinstance(error, OSError):
                 recording.fail(error, clock())
             now = time.monotonic()
             if now >= sync_due and syncer.sync(recording.fd):
@@ -111,44 +111,32 @@ class _Syncer:
     """Syncs a file to disk in its own thread, one sync at a time."""
 
     def __init__(self) -> None:
-        self._error: OSError | None = None
-        self._requested = threading.Semaphore(0)
-        self._fd: int | None = None
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
+        self._pool = ThreadPoolExecutor(1, "sync")
+        self._running: Future[None] | None = None
 
     def __enter__(self) -> _Syncer:
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closing = True
-        self._requested.release()
-        self._thread.join()
+        self._pool.shutdown()
 
     def sync(self, fd: int | None) -> bool:
         """Start a sync of `fd` and return True; False without a file or while a sync is running."""
-        if fd is None or self._fd is not None:
+        if fd is None or self._running is not None:
             return False
-        self._fd = os.dup(fd)  # the file may be closed meanwhile
-        self._requested.release()
+        self._running = self._pool.submit(_sync, os.dup(fd))  # the file may be closed meanwhile
         return True
 
-    def failed(self) -> OSError | None:
-        """The error since the last call, None without one."""
-        error, self._error = self._error, None
-        return error
+    def failed(self) -> BaseException | None:
+        """The error of the sync that has ended since the last call, None without one."""
+        if self._running is None or not self._running.done():
+            return None
+        ended, self._running = self._running, None
+        return ended.exception()
 
-    def _run(self) -> None:
-        while True:
-            self._requested.acquire()
-            if self._closing and self._fd is None:
-                return
-            assert self._fd is not None
-            try:
-                os.fdatasync(self._fd)
-            except OSError as error:
-                self._error = error
-            finally:
-                os.close(self._fd)
-                self._fd = None
+
+def _sync(fd: int) -> None:
+    try:
+        os.fdatasync(fd)
+    finally:
+        os.close(fd)

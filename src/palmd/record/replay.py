@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,10 +10,10 @@ from typing import Any, Protocol
 
 from palmd.blas import one_thread
 from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
+from palmd.jsonvalues import or_none
 from palmd.messages import Fields, estimate_fields, object_fields, shape_fields, stamp
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.record.eventlog import EventLog
-from palmd.record.jsontext import as_json
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
@@ -110,4 +111,4 @@ def lines(tick: TickFields) -> Iterator[dict[str, Any]]:
 
 def texts(tick: TickFields) -> Iterator[str]:
     """The same as lines of JSON text; unknown values are null."""
-    return map(as_json, lines(tick))
+    return (json.dumps(or_none(line), allow_nan=False) for line in lines(tick))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import tempfile
 from abc import ABC, abstractmethod
@@ -22,7 +23,8 @@ from palmd.messages import Fields, MessageCodec, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
-from palmd.record import METADATA, RunError
+from palmd.record import METADATA
+from palmd.record import RunError as RunError
 from palmd.record.damage import Damage, damage_text
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage
@@ -34,17 +36,6 @@ from palmd.system.description import RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
-
-__all__ = [
-    "AnyRun",
-    "FedTick",
-    "RecordedAnswers",
-    "Run",
-    "RunError",
-    "Survey",
-    "read_any_run",
-    "read_run",
-]
 
 Read = TypeVar("Read")
 
@@ -138,10 +129,6 @@ class AnyRun(ABC):
     @abstractmethod
     def observer(self) -> LiveObserver:
         """A new observer as configured for the run, which receives the smoother's recorded answers."""
-
-    def estimate_fields(self, estimate: Any) -> Fields:
-        """The fields of an estimate as they are published."""
-        return self.codec.estimate_fields(estimate)
 
     def messages(self, *topics: str) -> Iterator[RawMessage]:
         """All intact messages, or those of the given topics, in the order of reception."""
@@ -242,15 +229,15 @@ class Run(AnyRun):
     def improvements(self) -> Iterator[tuple[float, Improvement]]:
         """The improved estimates of the smoother, with the time (s) of the tick in which the loop received each."""
 
-        def read(fields: Fields) -> tuple[float, Improvement]:
+        def read(fields: Fields) -> Improvement:
             if "spread" not in fields or len(fields["rig"]) != len(RIG_NAMES):
                 raise RunError(
                     f"{self.path}: its smoother's answers are of another version and cannot be checked by this palmd;"
                     f" `palmd estimate {self.path}` runs the smoother again"
                 )
-            return fields["t_tick_s"], improvement_of(fields)
+            return improvement_of(fields)
 
-        return self._read(IMPROVEMENT, read)
+        return self._smoother_answers(IMPROVEMENT, read)
 
     def unexplained(self) -> Iterator[tuple[float, Unexplained]]:
         """The smoother's reports that no hypothesis explains the readings, with tick times (s) as in `improvements`."""
@@ -320,33 +307,30 @@ def read_any_run(path: Path) -> AnyRun:
     if named not in LIVE:
         raise RunError(f"{path}: is a recording of a system that this palmd does not know: {named}")
     kind: type[AnyRun] = load_part(LIVE[named].recording)
-    config = _config(path, load_part(LIVE[named].config), values)
-    return kind(path, layout, metadata, preface, config, _rig(path, preface, kind.rig_type))
+    model: type[AnyConfig] = load_part(LIVE[named].config)
+    with _reading(path, "configuration"):
+        if "observer" in values:
+            values["observer"]["shape"] = None  # a path on the machine that recorded it
+        config = model.model_validate(values)
+    with _reading(path, "description of the rig"):
+        described: Any = TypeAdapter(kind.rig_type).validate_python(json.loads(preface.attachments[RIG]))
+    return kind(path, layout, metadata, preface, config, described)
+
+
+@contextlib.contextmanager
+def _reading(path: Path, what: str) -> Iterator[None]:
+    """Context that raises RunError if an attached file has invalid contents."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise RunError(f"{path}: its {what} cannot be read: {str(error).splitlines()[0]}") from None
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
     if CONFIG not in preface.attachments:
         raise RunError(f"{path}: holds no configuration: neither the attached file {CONFIG} nor a palm/config message")
-    try:
+    with _reading(path, "configuration"):
         values = yaml.safe_load(preface.attachments[CONFIG])
         if not isinstance(values, dict):
             raise TypeError("it is not a map")
-        return values
-    except (TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
-
-
-def _config(path: Path, model: type[AnyConfig], values: dict[str, Any]) -> AnyConfig:
-    try:
-        if "observer" in values:
-            values["observer"]["shape"] = None  # a path on the machine that recorded it
-        return model.model_validate(values)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
-
-
-def _rig(path: Path, preface: Preface, rig_type: type) -> Any:
-    try:
-        return TypeAdapter(rig_type).validate_python(json.loads(preface.attachments[RIG]))
-    except (KeyError, ValueError) as error:
-        raise RunError(f"{path}: its description of the rig cannot be read: {str(error).splitlines()[0]}") from None
+    return values

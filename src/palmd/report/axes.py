@@ -13,14 +13,15 @@ from matplotlib.figure import FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from palmd.events import FloatArray
-from palmd.quantities import ESTIMATE
-from palmd.report.series import SD, Interval, Series
+from palmd.quantities import Quantity
+from palmd.report.series import SD, SDS, Interval, Series
 from palmd.report.thinning import thinned, thinned_band
 
 BLUE, ORANGE, GREEN, PINK, BLACK, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000", "#8c8c8c"
 WIDTH_IN = 7.1
 """Width of every figure: two columns of 85 mm and the gap between them."""
 
+DASHED = (0, (4, 2))
 _BAND_ALPHA = 0.22
 
 
@@ -65,12 +66,30 @@ def in_view(axes: Axes, *values: FloatArray, least: float = 0.0) -> None:
         axes.set_ylim(low - margin, high + margin)
 
 
-def estimated(series: Series, name: str, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A field where the estimate is valid, and its band of ± `sds` standard deviations, in the displayed unit."""
-    factor = ESTIMATE[name].shown.factor
-    value = np.where(series.valid, series.estimate[name], math.nan) * factor
-    reach = sds * series.estimate[SD + name] * factor
-    return value, value - reach, value + reach
+def estimate_lines(axes: Axes, series: Series, quantity: Quantity, *, invalid: bool = True) -> FloatArray:
+    """Plot a quantity where the estimate is valid, with its band; elsewhere a thin grey line if `invalid`.
+
+    Returns the valid values in the displayed unit.
+    """
+    t, factor = series.estimate.t, quantity.shown.factor
+    value = np.where(series.valid, series.estimate[quantity.name], math.nan) * factor
+    reach = SDS * series.estimate[SD + quantity.name] * factor
+    band(axes, t, value - reach, value + reach, BLUE, f"±{SDS:g} sd")
+    if invalid:
+        unconfirmed = np.where(series.valid, math.nan, series.estimate[quantity.name]) * factor
+        line(axes, t, unconfirmed, color=GREY, linewidth=0.5, label="not valid")
+    line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
+    return value
+
+
+def dashed_line(axes: Axes, t: FloatArray, values: FloatArray, label: str) -> None:
+    """Plot a truth or a command over time."""
+    line(axes, t, values, color=BLACK, linewidth=0.7, linestyle=DASHED, label=label)
+
+
+def legend_above(axes: Axes, columns: int = 4) -> None:
+    """Place the legend above the panel, outside of it."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=columns, borderaxespad=0.0)
 
 
 def invalid_shaded(axes: Axes, series: Series) -> None:

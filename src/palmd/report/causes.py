@@ -7,11 +7,12 @@ or have been starved because palmd itself got no processor time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
-from typing import Any, Literal
+from typing import Any
 
 from palmd.devices.pad import SILENT_INTERVALS, pad_counter_names
 from palmd.faults import TABLE
@@ -19,14 +20,6 @@ from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
 from palmd.record import DAEMON_RESTARTED, DAEMON_SILENT, PARENT_GONE, REQUESTED
 from palmd.report.timeline import Closeup, StateChange, Timeline
-
-CauseKind = Literal[
-    "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
-    "uncalibrated", "controller", "servo", "left", "late", "failed", "not-finite", "limits", "overruns", "command",
-    "ended", "rig-gone", "rig-stalled", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
-    "damaged-file", "recorder-ended",
-    "not-followed", "implausible", "contradicts", "pressed",
-]  # fmt: skip
 
 STALL_S = 0.1
 """Interval between ticks from which on pads seem silent and the controller (48 ms) runs out of set-points."""
@@ -55,7 +48,7 @@ COMMANDED = "_cmd_"
 TOGETHER_S = 0.15  # longest time between the ends of contact on both pads if the object was lifted off
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
 
-_ARM_STATES: dict[str, tuple[CauseKind, str]] = {
+_ARM_STATES: dict[str, tuple[str, str]] = {
     "arm-estop": ("estop", "the arm's emergency stop was pressed"),
     "arm-power-off": ("power-off", "arm power went off"),
     "arm-manual": ("manual", "the arm's controller was switched to manual mode"),
@@ -67,7 +60,7 @@ _ENDINGS = {
     DAEMON_RESTARTED: "its recorder finished it because another daemon had started",
     PARENT_GONE: "its recorder finished it because the daemon, which had started the recorder, was gone",
 }
-_DIRECT: dict[str, tuple[CauseKind, str]] = {
+_DIRECT: dict[str, tuple[str, str]] = {
     "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
     "estimate-not-finite": ("not-finite", "palmd's observer published an estimate as valid that was not finite"),
     "limits-violated": ("limits", "the palms were outside their limits, or the motion would have left them"),
@@ -92,7 +85,7 @@ class Clue:
 class StopCause:
     """A root cause: its kind, the device (`end`: `pad1`, `arm`, or empty), one sentence, and the evidence."""
 
-    kind: CauseKind
+    kind: str
     end: str
     sentence: str
     evidence: tuple[Clue, ...] = ()
@@ -159,20 +152,20 @@ def of_fault(case: RunCase, codes: Sequence[str], t: float) -> StopCause:
     rig_stall = _rig_stall(case, t)
     if rig_stall is not None and all(_by_rig_stall(code) for code in codes):
         return rig_stall
-    order: tuple[tuple[Callable[[str], bool], Callable[[RunCase, str, float], StopCause]], ...] = (
-        (lambda code: code in _DIRECT, _direct_cause),
-        (lambda code: code.endswith("-port"), _port),
-        (lambda code: code in _ARM_STATES and code != "arm-left-tracking", _arm_state),
-        (lambda code: code.startswith("arm-servo-"), _servo),
-        (lambda code: code == "arm-fault", _controller),
-        (lambda code: code == "arm-link-lost", _link),
-        (lambda code: code.endswith("-lifted"), _lifted),
-        (lambda code: code.endswith("-silent"), _silent),
-        (lambda code: code in _ARM_STATES, _arm_state),
+    rules: tuple[tuple[str, Callable[[RunCase, str, float], StopCause]], ...] = (
+        ("|".join(_DIRECT), _direct_cause),
+        (".*-port", _port),
+        ("arm-(estop|power-off|manual|uncalibrated)", _arm_state),
+        ("arm-servo-.*", _servo),
+        ("arm-fault", _controller),
+        ("arm-link-lost", _link),
+        (".*-lifted", _lifted),
+        (".*-silent", _silent),
+        ("arm-left-tracking", _arm_state),
     )
-    for applies, cause_of in order:
+    for pattern, cause_of in rules:
         for code in codes:
-            if applies(code):
+            if re.fullmatch(pattern, code):
                 return cause_of(case, code, t)
     code = codes[0]
     return StopCause("fault", "", TABLE[code].text if code in TABLE else code, _logged_evidence(case, code, t))
@@ -182,6 +175,10 @@ def _logged_evidence(case: RunCase, code: str, t: float) -> tuple[Clue, ...]:
     """The daemon's own evidence for a fault, from its log."""
     entry = case.logged("fault", code, t)
     return () if entry is None else (Clue("palm/log", f"{code}: {entry.text}"),)
+
+
+def _state_clue(case: RunCase, code: str, t: float) -> Clue:
+    return Clue("palm/state", f"{code} from {case.rel(t)} on")
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,18 +245,20 @@ def _direct_cause(case: RunCase, code: str, t: float) -> StopCause:
     motion = case.closeup.last_motion(t)
     if code == "limits-violated" and motion:
         evidence.append(Clue(case.topics.motion.name, f"the palms were at {case.joint_text(motion)}"))
-    return StopCause(kind, "", sentence, tuple(evidence or [Clue("palm/state", f"{code} from {case.rel(t)} on")]))
+    return StopCause(kind, "", sentence, tuple(evidence or [_state_clue(case, code, t)]))
 
 
 def _port(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-port")
+    counter = f"{end}_port_losses"
     evidence = [*_logged_evidence(case, code, t)]
-    growth = case.timeline.counter_growth(t, f"{end}_port_losses")
-    if growth is not None and growth[2][f"{end}_port_losses"]:
-        evidence.append(Clue("palm/loop", f"{end}_port_losses grew {_between(case, growth)}"))
+    evidence += [
+        Clue("palm/loop", f"{counter} grew {when}") for (losses,), when in _counted(case, [counter], t) if losses
+    ]
     device = (case.config.arm if end == "arm" else getattr(case.config.pads, f"palm{end[-1]}")).port
-    sentence = f"the serial port of {_device_name(end)} was lost: {device} could no longer be read"
-    return StopCause("port", end, sentence, (*evidence, Clue("palm/state", f"{code} from {case.rel(t)} on")))
+    name = "the arm" if end == "arm" else f"pad {end[-1]}"
+    sentence = f"the serial port of {name} was lost: {device} could no longer be read"
+    return StopCause("port", end, sentence, (*evidence, _state_clue(case, code, t)))
 
 
 def _arm_state(case: RunCase, code: str, t: float) -> StopCause:
@@ -283,9 +282,8 @@ def _controller(case: RunCase, code: str, t: float) -> StopCause:
     text = "" if entry is None else entry.text
     evidence = (*_state_letter_change(case, t), *_logged_evidence(case, code, t))
     if "-0504" in text:
-        return StopCause(
-            "break", "arm", "there was a break on the arm's line: its controller latched error -504", evidence
-        )
+        sentence = "there was a break on the arm's line: its controller latched error -504"
+        return StopCause("break", "arm", sentence, evidence)
     line = _link(case, code, t)
     if line.kind in ("damaged", "foreign"):
         return line
@@ -297,14 +295,8 @@ def _controller(case: RunCase, code: str, t: float) -> StopCause:
             f"-600: the line was dead, while palmd sent a set-point every {SETPOINT_MS} ms"
         )
         return StopCause("watchdog", "arm", sentence, (quiet, *evidence))
-    if text:
-        return StopCause("controller", "arm", "the arm's controller latched a fault of its own", evidence)
-    return StopCause(
-        "controller",
-        "arm",
-        "the arm's controller latched a fault while the line was alive: a break, or an internal fault",
-        evidence,
-    )
+    how = "of its own" if text else "while the line was alive: a break, or an internal fault"
+    return StopCause("controller", "arm", f"the arm's controller latched a fault {how}", evidence)
 
 
 def _servo(case: RunCase, code: str, t: float) -> StopCause:
@@ -312,7 +304,7 @@ def _servo(case: RunCase, code: str, t: float) -> StopCause:
     logged = _logged_evidence(case, code, t)
     if code != "arm-servo-watchdog":
         sentence = f"{TABLE[code].text}, as reported by the servo itself"
-        return StopCause("servo", "arm", sentence, logged or (Clue("palm/state", f"{code} from {case.rel(t)} on"),))
+        return StopCause("servo", "arm", sentence, logged or (_state_clue(case, code, t),))
     line = _bus(case, code, t)
     if line.kind != "late":
         return line
@@ -327,62 +319,57 @@ def _link(case: RunCase, code: str, t: float) -> StopCause:
 
 def _bus(case: RunCase, code: str, t: float) -> StopCause:
     """As `_link` for a bus of servos, whose packets begin with a header."""
-    age_ms = _oldest_ms(case, "arm_age_ms", t)
-    evidence = [
-        Clue(
-            case.topics.contact.name,
-            f"the servos' last answer was {age_ms:.0f} ms old; after 250 ms the bus counts as lost",
-        )
-    ]
+    evidence = [_arm_age(case, t, "servos' last answer", "bus")]
     total = outside = checksum_errors = 0.0
-    for growth in {g[0]: g for at in (t - 0.25, t, t + 1.0) if (g := case.timeline.counter_growth(at, *_BUS))}.values():
-        read, packets, wrong, discarded = (growth[2][name] for name in _BUS)
+    for (read, packets, wrong, discarded), between in _counted(case, _BUS, t - 0.25, t, t + 1.0):
         counts = f"received {read:.0f} bytes, {packets:.0f} complete packets, {wrong:.0f} with a wrong checksum"
-        evidence.append(Clue("palm/loop", f"{counts}, {discarded:.0f} bytes outside packets {_between(case, growth)}"))
+        evidence.append(Clue("palm/loop", f"{counts}, {discarded:.0f} bytes outside packets {between}"))
         total, outside, checksum_errors = total + read, outside + discarded, checksum_errors + wrong
-    proof = (*evidence, *_logged_evidence(case, code, t))
     if not total:
-        return StopCause("mute", "arm", "the servos sent no more data", proof)
-    if outside > FOREIGN_SHARE * total and not checksum_errors:
+        kind, sentence = "mute", "the servos sent no more data"
+    elif outside > FOREIGN_SHARE * total and not checksum_errors:
+        kind = "foreign"
         sentence = "the data on the servos' line were not answers: another device, or another baud rate"
-        return StopCause("foreign", "arm", sentence, proof)
-    if outside > DAMAGED_SHARE * total:
-        return StopCause("damaged", "arm", "much of the data from the servos was damaged", proof)
-    if code == "arm-link-lost":
-        return StopCause("mute", "arm", "some servos no longer answered", proof)
-    return StopCause("late", "arm", "the servos answered late", proof)
+    elif outside > DAMAGED_SHARE * total:
+        kind, sentence = "damaged", "much of the data from the servos was damaged"
+    elif code == "arm-link-lost":
+        kind, sentence = "mute", "some servos no longer answered"
+    else:
+        kind, sentence = "late", "the servos answered late"
+    return StopCause(kind, "arm", sentence, (*evidence, *_logged_evidence(case, code, t)))
 
 
 def _line(case: RunCase, code: str, t: float) -> StopCause:
     """As `_link` for a controller's serial line."""
-    age_ms = _oldest_ms(case, "arm_age_ms", t)
-    evidence = [
-        Clue(
-            case.topics.contact.name,
-            f"the arm's last answer was {age_ms:.0f} ms old; after 250 ms the link counts as lost",
-        )
-    ]
-    windows = {
-        growth[0]: growth for at in (t - 0.25, t, t + 1.0) if (growth := case.timeline.counter_growth(at, *_LINE))
-    }
+    evidence = [_arm_age(case, t, "arm's last answer", "link")]
     excess = ends = 0.0
-    for growth in windows.values():
-        read, whole, wrong, unframed = (growth[2][name] for name in _LINE)
-        counts = (
-            f"received {read:.0f} bytes, {whole:.0f} complete lines, {wrong:.0f} with a wrong checksum, "
-            f"{unframed:.0f} without any"
-        )
-        evidence.append(Clue("palm/loop", f"{counts} {_between(case, growth)}"))
+    for (read, whole, wrong, unframed), between in _counted(case, _LINE, t - 0.25, t, t + 1.0):
+        counts = f"received {read:.0f} bytes, {whole:.0f} complete lines, {wrong:.0f} with a wrong checksum"
+        evidence.append(Clue("palm/loop", f"{counts}, {unframed:.0f} without any {between}"))
         ends += wrong + unframed
         excess = max(excess, read - LINE_BYTES * whole)
     logged = _logged_evidence(case, code, t)
     if _bytes_since(logged) < MIN_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
-        return StopCause("mute", "arm", "the arm's controller sent no more data", (*evidence, *logged))
-    if ends > 1.0 and excess < FOREIGN_LINE_RATIO * LINE_BYTES * ends:  # line ends at the expected rate
-        sentence = "the data from the arm's controller were damaged: hardly any line was complete"
-        return StopCause("damaged", "arm", sentence, (*evidence, *logged))
-    sentence = "the data on the arm's line were not answers: another device, or another baud rate"
-    return StopCause("foreign", "arm", sentence, (*evidence, *logged))
+        kind, sentence = "mute", "the arm's controller sent no more data"
+    elif ends > 1.0 and excess < FOREIGN_LINE_RATIO * LINE_BYTES * ends:  # line ends at the expected rate
+        kind, sentence = "damaged", "the data from the arm's controller were damaged: hardly any line was complete"
+    else:
+        kind = "foreign"
+        sentence = "the data on the arm's line were not answers: another device, or another baud rate"
+    return StopCause(kind, "arm", sentence, (*evidence, *logged))
+
+
+def _arm_age(case: RunCase, t: float, what: str, lost: str) -> Clue:
+    age_ms = _oldest_ms(case, "arm_age_ms", t)
+    text = f"the {what} was {age_ms:.0f} ms old; after 250 ms the {lost} counts as lost"
+    return Clue(case.topics.contact.name, text)
+
+
+def _counted(case: RunCase, names: Sequence[str], *times: float) -> Iterator[tuple[tuple[float, ...], str]]:
+    """Growth of counters of `palm/loop` in each second around one of the times, and that second as text."""
+    seconds = {growth[0]: growth for t in times if (growth := case.timeline.counter_growth(t, *names))}
+    for begin, end, grown in seconds.values():
+        yield tuple(grown[name] for name in names), f"between {case.rel(begin)} and {case.rel(end)}"
 
 
 def _lifted(case: RunCase, code: str, t: float) -> StopCause:
@@ -416,15 +403,8 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     if any("not even a damaged one's" in each.what for each in logged):  # the daemon has checked byte by byte
         sentence = f"the data on pad {end[-1]}'s line were not packets: another device, or another baud rate"
         return StopCause("foreign", end, sentence, (*evidence, *logged))
-    for at in (t, t + 1.0) if names else ():
-        growth = case.timeline.counter_growth(at, *names)
-        if growth is None:
-            continue
-        read, packets, discarded = (growth[2][name] for name in names)
-        counts = (
-            f"received {read:.0f} bytes, {packets:.0f} packets, {discarded:.0f} bytes outside packets "
-            f"{_between(case, growth)}"
-        )
+    for (read, packets, discarded), between in _counted(case, names, t, t + 1.0) if names else ():
+        counts = f"received {read:.0f} bytes, {packets:.0f} packets, {discarded:.0f} bytes outside packets {between}"
         evidence.append(Clue("palm/loop", counts))
         lost = max(lost, discarded)
     if _bytes_since(logged) < MIN_PACKET_BYTES if logged else lost < DISCARDED_BYTES:
@@ -463,14 +443,6 @@ def _bytes_since(logged: Sequence[Clue]) -> int:
         if " bytes have come since" in each.what and words[-1].isdigit():
             return int(words[-1])
     return 0
-
-
-def _between(case: RunCase, growth: tuple[float, float, object]) -> str:
-    return f"between {case.rel(growth[0])} and {case.rel(growth[1])}"
-
-
-def _device_name(end: str) -> str:
-    return "the arm" if end == "arm" else f"pad {end[-1]}"
 
 
 # ------------------------------------------------------------------------------------------------ without a fault

@@ -12,13 +12,10 @@ from scipy.optimize import minimize_scalar
 
 from palmd.events import FloatArray
 from palmd.quantities import ESTIMATE, TRUTH
-from palmd.report.series import CONSTANTS, SD, OutlineAt, Series, TrueBody
+from palmd.report.series import CONSTANTS, SD, SDS, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
 from palmd.system.mechanism import JOINTS, RADII
 from palmd.topics import truth_of
-
-SDS = 2.0
-"""Half-width of every band in standard deviations."""
 
 STATE = tuple(quantity.name for quantity in ESTIMATE.quantities if quantity.role == "named")
 """The published fields of the named state, including ψ."""

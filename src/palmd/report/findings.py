@@ -11,8 +11,8 @@ import numpy as np
 from palmd.daemon.journal import LOST_S
 from palmd.events import FloatArray
 from palmd.observer.validity import MOST_NIS
-from palmd.report.errors import SDS, Errors, count_within_band
-from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series
+from palmd.report.errors import Errors, count_within_band
+from palmd.report.series import FOLLOWING_RATIO, SDS, FaultInterval, Series
 
 FAILED, IMPAIRED, NOTE = "failed", "impaired", "note"
 LEVELS = (FAILED, IMPAIRED, NOTE)

@@ -10,19 +10,36 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.observer.outline import wrapped
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import MIN_ROWS, CameraTrack
-from palmd.report.camera_clock import GroundTruthError, scan_offset
 from palmd.report.camera_frame import CameraClock, CameraFit, CameraFrame, rms
 from palmd.report.camera_signals import KnownMotion, Signals
 from palmd.score import score_outline, support_at
 
 MAX_OFFSET_SD_S = 0.1
 REPORTED_GAP_S = 0.2  # longer gaps in the camera's rows are reported
+LAG_STEP_S, FINE_LAG_S = 0.02, 1e-3
+MIN_OVERLAP_S = 1.0
+MIN_OVERLAP_FRACTION = 0.5  # fraction of the shorter record that must overlap
+MIN_MOTION_RAD = math.radians(2.0)
+# smallest explained fraction of the scatter, with the object's and the palms' angles
+MIN_EXPLAINED, MIN_EXPLAINED_BY_PALMS = 0.5, 0.95
+DISTINCT_S, MIN_RIVAL_RATIO = 0.3, 2.0  # an offset that differs by more must have a misfit larger by this factor
+_MAX_SCANNED_ROWS = 500
+_MAX_CANDIDATES = 6
+_MISTAKES = (
+    (-1.0, "but match with inverted sign: does the camera's y axis point down?"),
+    (180.0 / math.pi, "but match when multiplied by 57.3: are they in radians?"),
+)
+
+
+class GroundTruthError(Exception):
+    """The two records cannot be compared; the text says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +95,7 @@ def compare(result: Result, motion: KnownMotion, track: CameraTrack, outline: Ou
     Standard deviations account for correlated residuals (Newey–West).
     """
     signals = Signals(motion, track)
-    lag = scan_offset(signals)
+    lag = _scan_offset(signals)
     log_t = track.t + lag
     rows = signals.seen & signals.known_at(log_t) & (log_t >= motion.t[0]) & (log_t <= motion.t[-1])
     if rows.sum() < MIN_ROWS:
@@ -127,3 +144,79 @@ def _omitted(track: CameraTrack, signals: Signals, clock: CameraClock) -> list[s
         for i in np.flatnonzero(np.diff(edges) > REPORTED_GAP_S)
     ]
     return [f"{what} from {a:.2f} to {b:.2f} s (log time): omitted" for what, a, b in sorted(spans, key=lambda s: s[1])]
+
+
+# ------------------------------------------------------------------------------------------------------------- clock
+
+
+def _scan_offset(signals: Signals) -> float:
+    """The clock offset (s) at which camera and log angles match best, to `FINE_LAG_S`.
+
+    Raises GroundTruthError if no offset matches, or if it is ambiguous.
+    """
+    track, motion = signals.track, signals.motion
+    rows = np.flatnonzero(signals.seen)
+    rows = rows[:: max(len(rows) // _MAX_SCANNED_ROWS, 1)]
+    if max(np.ptp(log) for _, log in signals.angles(rows)) < MIN_MOTION_RAD:
+        raise GroundTruthError("no angle changes by more than 2 degrees: the clock offset cannot be determined")
+    t = track.t[rows]
+    shorter = min(float(np.ptp(t)), float(np.ptp(motion.t)))
+    least = max(MIN_OVERLAP_FRACTION * shorter, MIN_OVERLAP_S)
+    if shorter < MIN_OVERLAP_S:
+        raise GroundTruthError(f"the shorter record lasts {shorter:.2f} s; {MIN_OVERLAP_S:g} s are needed")
+    lags = np.arange(motion.t[0] - t[-1] + least, motion.t[-1] - t[0] - least + LAG_STEP_S, LAG_STEP_S)
+    (misfit, lag), *others = _minima(signals, rows, lags, 1.0)
+    for scale, hint in _MISTAKES:
+        if _minima(signals, rows, lags, scale)[0][0] < misfit / MIN_RIVAL_RATIO:
+            raise GroundTruthError(f"the camera's angles do not match the log, {hint}")
+    if misfit > 1.0 - (MIN_EXPLAINED if signals.palms is None else MIN_EXPLAINED_BY_PALMS):
+        raise GroundTruthError(
+            f"the angles match at no clock offset; the best explains {max(1 - misfit, 0):.0%}: "
+            "is this the track of this run, and do both overlap in time?"
+        )
+    for rival, other in others:
+        if rival < MIN_RIVAL_RATIO * misfit and abs(other - lag) > DISTINCT_S:
+            raise GroundTruthError(
+                f"the clock offset is ambiguous: {lag:.2f} s and {other:.2f} s fit equally well; "
+                "compare a run with less periodic motion"
+            )
+    return lag
+
+
+def _minima(signals: Signals, rows: npt.NDArray[np.intp], lags: FloatArray, scale: float) -> list[tuple[float, float]]:
+    """(misfit, offset) at the local minima of the misfit, best first, each refined to `FINE_LAG_S`."""
+    coarse = _misfits(signals, rows, lags, scale)
+    edges = np.concatenate([[np.inf], coarse, [np.inf]])
+    found = np.flatnonzero((coarse <= edges[:-2]) & (coarse <= edges[2:]))
+    refined = []
+    for i in found[np.argsort(coarse[found])][:_MAX_CANDIDATES]:
+        fine = np.arange(lags[i] - LAG_STEP_S, lags[i] + LAG_STEP_S, FINE_LAG_S)
+        misfit = _misfits(signals, rows, fine, scale)
+        refined.append((float(misfit.min()), float(fine[misfit.argmin()])))
+    return sorted(refined)
+
+
+def _misfits(signals: Signals, rows: npt.NDArray[np.intp], lags: FloatArray, scale: float) -> FloatArray:
+    """For each offset the unexplained fraction of the scatter of the camera's angles: 0 for a perfect match, 1 if none.
+
+    The scatter of angles, which are periodic, is 1 − |mean e^{i·angle}|, half the variance if small.
+    """
+    t, channels = signals.track.t[rows], signals.angles(rows)
+    t_log = signals.motion.t
+    misfit = np.ones(len(lags))
+    for i, lag in enumerate(lags):
+        inside = (t + lag >= t_log[0]) & (t + lag <= t_log[-1]) & signals.known_at(t + lag)
+        unexplained = total = 0.0
+        for camera, log in channels:
+            known = inside & np.isfinite(camera)
+            if known.sum() > 2:
+                angle = scale * camera[known]
+                unexplained += _scatter(angle - np.interp(t[known] + lag, t_log, log))
+                total += _scatter(angle)
+        if total > 0.0:
+            misfit[i] = unexplained / total
+    return misfit
+
+
+def _scatter(angles: FloatArray) -> float:
+    return 1.0 - float(np.abs(np.mean(np.exp(1j * angles))))

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
 from palmd.quantities import MOTION
-from palmd.report.axes import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, bars, in_view, line, over_time
-from palmd.report.series import FaultInterval, Interval, Series
+from palmd.report.axes import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PINK,
+    bars,
+    dashed_line,
+    in_view,
+    legend_above,
+    line,
+    over_time,
+)
+from palmd.report.series import Interval, Series
 from palmd.system.mechanism import PALMS
 
 STATES = {
@@ -36,22 +51,18 @@ def draw_motion(figure: FigureBase, series: Series) -> None:
         t = series.motion.t
         commanded, actual = (np.degrees(series.motion[f"phi{palm}{infix}_rad"]) for infix in ("_cmd", ""))
         line(axes, t, actual, color=BLUE, linewidth=1.2, label="actual")
-        line(axes, t, commanded, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="commanded")
+        dashed_line(axes, t, commanded, "commanded")
         line(grid[2], t, actual - commanded, color=(BLUE, ORANGE)[palm - 1], linewidth=0.7, label=f"palm {palm}")
         in_view(axes, actual, commanded, least=1.0)
         axes.set_ylabel(MOTION[f"phi{palm}_rad"].label)
-    grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
+    legend_above(grid[0], 2)
     grid[2].set_ylabel("actual −\ncommanded (°)")
     grid[2].legend(loc="upper right", ncols=2)
-    key = draw_states(grid[3], series)
-    for axes in grid:
-        over_time(axes, series, last=axes is grid[3])
-    if key:
-        figure.legend(handles=key, loc="outside lower center", ncols=6)
+    draw_states(figure, grid, series)
 
 
-def draw_states(axes: Axes, series: Series) -> list[Patch]:
-    """Draw the bars; returns the legend entries of the colours that occur."""
+def draw_states(figure: FigureBase, grid: Sequence[Axes], series: Series) -> None:
+    """Draw states and faults as bars in the last of the panels, and the time axis and legend of all."""
     segments = tuple(
         Interval(str(number % 2), interval.begin, interval.end)
         for number, interval in enumerate(interval for interval in series.segments if interval.label)
@@ -61,15 +72,18 @@ def draw_states(axes: Axes, series: Series) -> list[Patch]:
     )
     codes = list(dict.fromkeys(fault.code for fault in series.faults))[:_MAX_FAULTS]
     faults = [
-        (code, [Interval(_fault(each), each.begin, each.end) for each in series.faults if each.code == code])
+        (
+            code,
+            [Interval(f"fault: {each.severity}", each.begin, each.end) for each in series.faults if each.code == code],
+        )
         for code in codes
     ]
     colours = STATES | {f"fault: {name}": colour for name, colour in SEVERITIES.items()}
     rows = [("palmd", series.states), ("arm", arm), ("segment", segments), *faults]
-    bars(axes, rows, colours | dict(zip("01", _SEGMENT_COLOURS, strict=True)))
-    occurring = {interval.label for _, intervals in rows for interval in intervals}
-    return [Patch(color=colour, label=name) for name, colour in colours.items() if name in occurring]
-
-
-def _fault(fault: FaultInterval) -> str:
-    return f"fault: {fault.severity}"
+    bars(grid[-1], rows, colours | dict(zip("01", _SEGMENT_COLOURS, strict=True)))
+    for axes in grid:
+        over_time(axes, series, last=axes is grid[-1])
+    occurring = {interval.label for _, spans in rows for interval in spans}
+    key = [Patch(color=colour, label=name) for name, colour in colours.items() if name in occurring]
+    if key:
+        figure.legend(handles=key, loc="outside lower center", ncols=6)

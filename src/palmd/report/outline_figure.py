@@ -12,15 +12,14 @@ from matplotlib.figure import FigureBase
 from palmd.chords import STRAIGHT_LABEL, chords_of
 from palmd.events import FloatArray
 from palmd.polygon import normals
-from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
+from palmd.report.axes import BLACK, BLUE, DASHED, GREY, ORANGE
 from palmd.report.body import closed, contact_points, points
-from palmd.report.errors import SDS, OutlineErrors
-from palmd.report.series import Bools, OutlineAt, Series
+from palmd.report.errors import OutlineErrors
+from palmd.report.series import SDS, Bools, OutlineAt, Series
 
 _MAGNIFIED_TO = 0.12  # of the mean radius: width of the magnified band on touched normals
 _CLIP = 0.45  # of the mean radius: limit of the magnified band
 _MAX_CONTACTS = 400
-_DASHED = (0, (4, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +74,11 @@ def _outline(axes: Axes, drawn: DrawnOutline) -> None:
     axes.plot(*closed(curve), color=BLUE, linewidth=1.4, alpha=0.4, label="not touched")
     axes.plot(*_where(curve, outline.touched), color=BLUE, linewidth=2.0, label="touched")
     for number, chord in enumerate(chords_of(outline.theta, outline.h, outline.touched)):
-        axes.plot(*np.array([chord.begin, chord.end]).T * 1e3, color=ORANGE, linewidth=1.6, linestyle=_DASHED,
+        axes.plot(*np.array([chord.begin, chord.end]).T * 1e3, color=ORANGE, linewidth=1.6, linestyle=DASHED,
                   label=STRAIGHT_LABEL if number == 0 else None)  # fmt: skip
     if drawn.errors is not None:
         axes.plot(*closed(points(outline.theta, drawn.errors.h) * 1e3), color=BLACK, linewidth=0.7,
-                  linestyle=_DASHED, label="truth")  # fmt: skip
+                  linestyle=DASHED, label="truth")  # fmt: skip
     axes.plot(0.0, 0.0, "+", color=BLACK, label="centre of mass")
     _square(axes, curve, 1.2)
     axes.set_title("(a) true scale")
@@ -97,7 +96,7 @@ def _band(axes: Axes, drawn: DrawnOutline) -> None:
     axes.plot(*closed(curve) * 1e3, color=BLUE, linewidth=0.8, label="estimate")
     if drawn.errors is not None:
         offset = np.clip(-drawn.errors.error * times, -furthest, furthest)
-        axes.plot(*closed(curve + offset * outward) * 1e3, color=BLACK, linewidth=0.8, linestyle=_DASHED, label="truth")
+        axes.plot(*closed(curve + offset * outward) * 1e3, color=BLACK, linewidth=0.8, linestyle=DASHED, label="truth")
     axes.plot(0.0, 0.0, "+", color=BLACK)
     _square(axes, curve * 1e3, 1.2 + _MAGNIFIED_TO)
     axes.set_title(f"(b) distances from the estimate × {times:,.0f}")

@@ -15,22 +15,23 @@ from palmd.quantities import ESTIMATE, drawn
 from palmd.report.axes import (
     BLACK,
     BLUE,
+    DASHED,
     GREEN,
     GREY,
     ORANGE,
-    band,
-    estimated,
+    dashed_line,
+    estimate_lines,
     in_view,
     invalid_shaded,
+    legend_above,
     line,
     logarithmic,
     over_time,
     panels,
 )
-from palmd.report.errors import SDS, Errors, normalised_errors, scores_over_time
+from palmd.report.errors import Errors, normalised_errors, scores_over_time
 from palmd.report.series import Series
 
-_DASHED = (0, (4, 2))
 FORCES = tuple(drawn(ESTIMATE, tab="forces"))
 _AVERAGED_TICKS = 200  # window of the running mean of the errors
 
@@ -38,21 +39,16 @@ _AVERAGED_TICKS = 200  # window of the running mean of the errors
 def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> None:
     """Draw normal forces, friction and mass with their bands, and the truth dashed."""
     rows = panels(figure, len(FORCES))
-    t = series.estimate.t
     for axes, quantity in zip(rows, FORCES, strict=True):
-        name, factor = quantity.name, quantity.shown.factor
-        value, low, high = estimated(series, name, SDS)
-        band(axes, t, low, high, BLUE, f"±{SDS:g} sd")
-        line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
-        drawn = [value]
-        if errors is not None and name in errors.true:
-            drawn.append(errors.true[name] * factor)
-            line(axes, t, drawn[-1], color=BLACK, linewidth=0.7, linestyle=_DASHED, label="truth")
+        drawn = [estimate_lines(axes, series, quantity, invalid=False)]
+        if errors is not None and quantity.name in errors.true:
+            drawn.append(errors.true[quantity.name] * quantity.shown.factor)
+            dashed_line(axes, series.estimate.t, drawn[-1], "truth")
         in_view(axes, *drawn)
         axes.set_ylabel(quantity.label)
         invalid_shaded(axes, series)
         over_time(axes, series, last=axes in rows[-2:])
-    _legend(rows[0])
+    legend_above(rows[0])
 
 
 def nis_band() -> tuple[float, float]:
@@ -78,11 +74,11 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
         squares = normalised_errors(series, errors)
         line(grid[2], t, squares, color=BLUE, linewidth=0.6, label="mean of r₁, r₂, ω₀")
         line(grid[2], t, _running_mean(squares), color=BLACK, label="mean of the last 2 s")
-        grid[2].axhline(1.0, color=GREY, linewidth=0.7, linestyle=_DASHED)
+        grid[2].axhline(1.0, color=GREY, linewidth=0.7, linestyle=DASHED)
         grid[2].set_ylabel("(error / sd)²")
         _logarithmic(grid[2], squares)
-        _legend(grid[2])
-    _legend(nis)
+        legend_above(grid[2])
+    legend_above(nis)
     for axes in grid:
         invalid_shaded(axes, series)
         over_time(axes, series, last=axes is grid[-1])
@@ -105,7 +101,7 @@ def draw_coverage(figure: FigureBase, series: Series) -> None:
         line(known, t_of, values * 1e6, color=colour, linestyle=style, label=label)
     known.set_ylabel("h (µm)")
     _logarithmic(known, np.concatenate([values * 1e6 for _, values, *_ in drawn]))
-    known.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
+    legend_above(known, 2)
     for axes in (touched, known):
         invalid_shaded(axes, series)
         over_time(axes, series, last=True)
@@ -139,7 +135,3 @@ def _logarithmic(axes: Axes, values: FloatArray) -> None:
 def _high(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return 1.1 * float(np.percentile(known, 99.9)) if len(known) else 0.0
-
-
-def _legend(axes: Axes) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=4, borderaxespad=0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -72,11 +72,10 @@ class Report:
 
 
 def report_of(series: Series) -> Report:
-    """The complete report of a run; sections without data are omitted or say what is missing."""
+    """The complete report of a run of two palms; sections without data are omitted or say what is missing."""
     errors = errors_of(series)
     valid_errors = errors if series.valid.any() else None
-    verdict = verdict_of(series, valid_errors)
-    sections = [
+    own = [
         Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
@@ -85,6 +84,17 @@ def report_of(series: Series) -> Report:
         Section("Forces, friction and mass", _forces(series, valid_errors)),
         Section("Consistency", _consistency(series, valid_errors)),
         Section("Coverage", _coverage(series)),
+    ]
+    return assembled(series, own, valid_errors)
+
+
+def assembled(series: Series, own: Sequence[Section], errors: Errors | None = None) -> Report:
+    """The report with a system's `own` sections between those common to all systems; those without data are omitted."""
+    verdict = verdict_of(series, errors)
+    sections = [
+        Section("Findings", (texts.findings(verdict),)),
+        Section("Test ratios", (texts.ratios(verdict),) if verdict.ratios else ()),
+        *own,
         Section("Loop", _loop(series)),
         Section("Faults", (texts.faults(series),)),
         Section("Log", (texts.log(series),) if series.log else ()),
@@ -92,16 +102,8 @@ def report_of(series: Series) -> Report:
         Section("Messages", (texts.topics(series),)),
         Section("Configuration", (Listing(texts.configuration(series)),)),
     ]
-    present = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
+    present = tuple(section for section in sections if section.parts)
     return Report(series.run.path.stem, texts.facts(series), present, verdict)
-
-
-def verdict_sections(verdict: RunVerdict) -> tuple[Section, ...]:
-    """The sections on findings and test ratios."""
-    return (
-        Section("Findings", (texts.findings(verdict),)),
-        Section("Test ratios", (texts.ratios(verdict),) if verdict.ratios else ()),
-    )
 
 
 def rendered(figure: CaptionedFigure) -> Figure:

@@ -26,6 +26,9 @@ FOLLOWING_RATIO = "following_ratio"
 SD = "sd."
 """Prefix of a field's name for the column of its standard deviation."""
 
+SDS = 2.0
+"""Half-width of every band of the report in standard deviations."""
+
 CONSTANTS = tuple(quantity.name for quantity in ESTIMATE.quantities if truth_of(quantity) is BODY)
 """Estimated fields that are constants of the object."""
 
@@ -191,10 +194,7 @@ class _IntervalBuilder:
 
     def until(self, t: float) -> tuple[Interval, ...]:
         """All intervals, the last one extended to `t`."""
-        if not self._intervals:
-            return ()
-        *before, last = self._intervals
-        return (*before, Interval(last.label, last.begin, t))
+        return tuple(self._intervals[:-1]) + tuple(replace(last, end=t) for last in self._intervals[-1:])
 
 
 class _RunReader:

@@ -9,9 +9,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from palmd.quantities import ESTIMATE, Quantity, drawn
-from palmd.report.axes import BLACK, BLUE, GREY, band, estimated, in_view, invalid_shaded, line, over_time, panels
-from palmd.report.errors import SDS, Errors, count_within_band
-from palmd.report.series import SD, Series
+from palmd.report.axes import (
+    BLACK,
+    BLUE,
+    GREY,
+    band,
+    dashed_line,
+    estimate_lines,
+    in_view,
+    invalid_shaded,
+    legend_above,
+    line,
+    over_time,
+    panels,
+)
+from palmd.report.errors import Errors, count_within_band
+from palmd.report.series import SD, SDS, Series
 
 STATE = (*drawn(ESTIMATE, tab="state"), ESTIMATE["mu"])
 _IN_SMALLER = {
@@ -25,17 +38,10 @@ def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> Non
     """Draw the state with its band, and the truth dashed."""
     for axes, quantity, last in _panels(figure):
         factor = quantity.shown.factor
-        value, low, high = estimated(series, quantity.name, SDS)
-        t = series.estimate.t
-        band(axes, t, low, high, BLUE, f"±{SDS:g} sd")
-        line(axes, t, np.where(series.valid, np.nan, series.estimate[quantity.name]) * factor, color=GREY,
-             linewidth=0.5, label="not valid")  # fmt: skip
-        line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
-        drawn = [value]
+        drawn = [estimate_lines(axes, series, quantity)]
         if errors is not None and quantity.name in errors.true:
-            true = errors.true[quantity.name] * factor
-            line(axes, t, true, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="truth")
-            drawn.append(true)
+            drawn.append(errors.true[quantity.name] * factor)
+            dashed_line(axes, series.estimate.t, drawn[-1], "truth")
         if not series.valid.any():
             drawn = [series.estimate[quantity.name] * factor]
         in_view(axes, *drawn)
@@ -75,4 +81,4 @@ def _finish(axes: Axes, series: Series, last: bool, label: str) -> None:
     axes.set_ylabel(label)
     over_time(axes, series, last=last)
     if axes.get_subplotspec().get_geometry()[2] == 0:  # type: ignore[union-attr]
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=4, borderaxespad=0.0)
+        legend_above(axes)

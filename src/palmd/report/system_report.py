@@ -1,60 +1,109 @@
-"""The report of a run of a system with its own quantity tables: its own sections, then those common to all systems."""
+"""The report of a run of a system with its own quantity tables; needs matplotlib."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
 
-from palmd.report import texts
-from palmd.report.findings import verdict_of
-from palmd.report.loop_figure import draw_loop
-from palmd.report.motion_figure import bar_rows
-from palmd.report.sections import CaptionedFigure, Listing, Report, Section, verdict_sections
-from palmd.report.series import Series
-from palmd.report.system_figure import actuators, draw_actuators, draw_estimate, drawn_quantities
+import numpy as np
+from matplotlib.figure import FigureBase
 
+from palmd.events import FloatArray
+from palmd.quantities import Quantity
+from palmd.report import texts
+from palmd.report.axes import (
+    BLUE,
+    dashed_line,
+    estimate_lines,
+    in_view,
+    invalid_shaded,
+    legend_above,
+    line,
+    over_time,
+    panels,
+)
+from palmd.report.errors import remove_gauge
+from palmd.report.motion_figure import bar_rows, draw_states
+from palmd.report.sections import CaptionedFigure, Report, Section, assembled
+from palmd.report.series import Series
+
+COMMANDED = "_cmd_"
+PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
 _PANEL_IN = 1.25
 
 
 def system_report(series: Series, own: Sequence[Section]) -> Report:
-    """The system's `own` sections first; sections without data are omitted."""
-    quantities = drawn_quantities(series)
+    """The system's `own` sections, then its state and motion; sections without data are omitted."""
+    quantities = _drawn_quantities(series)
     state = CaptionedFigure(
-        partial(draw_estimate, series=series, quantities=quantities),
+        partial(_draw_estimate, series=series, quantities=quantities),
         _PANEL_IN * (1 + len(quantities) // 2),
         "Blue: valid estimate with its band; grey: invalid estimate; dashed: an emulated rig's truth.",
     )
-    sections = [
-        *own,
-        Section("State", (state,)),
-        Section("Motion", _motion(series)),
-        Section("Loop", _loop(series)),
-        Section("Faults", (texts.faults(series),)),
-        Section("Log", (texts.log(series),) if series.log else ()),
-        Section("Messages", (texts.topics(series),)),
-        Section("Configuration", (Listing(texts.configuration(series)),)),
-    ]
-    verdict = verdict_of(series)
-    present = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
-    return Report(series.run.path.stem, texts.facts(series), present, verdict)
+    return assembled(series, [*own, Section("State", (state,)), Section("Motion", _motion(series))])
 
 
 def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
     if not len(series.motion.t):
         return ()
     row_count = bar_rows(series)
-    height = 0.6 + 1.3 * len(actuators(series)) + 0.24 * row_count
+    height = 0.6 + 1.3 * len(_actuators(series)) + 0.24 * row_count
     caption = "Commanded and actual positions of the actuators; below, states and faults."
     return (
-        CaptionedFigure(partial(draw_actuators, series=series, row_count=row_count), height, caption),
+        CaptionedFigure(partial(_draw_actuators, series=series, row_count=row_count), height, caption),
         texts.durations(series.states),
     )
 
 
-def _loop(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
-    if not len(series.loop.t):
-        return ()
-    return (
-        CaptionedFigure(partial(draw_loop, series=series), 3.6, texts.loop_caption(series)),
-        texts.error_counts(series),
+def _drawn_quantities(series: Series) -> tuple[Quantity, ...]:
+    """The quantities to draw: those with a symbol."""
+    return tuple(each for each in series.run.topics.estimate.quantities if each.kind == "number" and each.symbol)
+
+
+def _actuators(series: Series) -> tuple[Quantity, ...]:
+    """The actuators' position quantities that have a commanded counterpart."""
+    names = [each.name for each in series.run.topics.motion.quantities if COMMANDED in each.name]
+    return tuple(series.run.topics.motion[name.replace(COMMANDED, "_")] for name in names)
+
+
+def _draw_estimate(figure: FigureBase, series: Series, quantities: Sequence[Quantity]) -> None:
+    """Draw each quantity with its band where valid, and an emulated rig's truth dashed."""
+    grid = panels(figure, len(quantities))
+    for axes, quantity in zip(grid, quantities, strict=True):
+        factor = quantity.shown.factor
+        value = estimate_lines(axes, series, quantity)
+        true = truth_of(series, quantity.name) * factor
+        dashed_line(axes, series.truth.t, true, "truth")
+        in_view(axes, value if series.valid.any() else series.estimate[quantity.name] * factor, true)
+        invalid_shaded(axes, series)
+        axes.set_ylabel(quantity.label)
+        over_time(axes, series, last=axes in grid[-2:])
+    legend_above(grid[0])
+
+
+def truth_of(series: Series, name: str) -> FloatArray:
+    """The true value of a quantity at `series.truth.t`; for the object's angle relative to the estimate's zero."""
+    true, t = series.truth[name], series.estimate.t
+    if name != PSI or not len(true) or not len(t):
+        return true
+    _, zero = remove_gauge(series, series.estimate[name] - np.interp(t, series.truth.t, true))
+    nearest: FloatArray = zero[np.searchsorted(t, series.truth.t).clip(0, len(t) - 1)]
+    return true + nearest
+
+
+def _draw_actuators(figure: FigureBase, series: Series, row_count: int) -> None:
+    """Draw commanded and actual position of each actuator, and below states and faults as `row_count` bars."""
+    quantities = _actuators(series)
+    grid = figure.subplots(
+        1 + len(quantities), 1, sharex=True, height_ratios=(*(1.3,) * len(quantities), 0.24 * row_count)
     )
+    for axes, quantity in zip(grid, quantities, strict=False):
+        stem, _, unit = quantity.name.rpartition("_")
+        factor = quantity.shown.factor
+        commanded, actual = (series.motion[name] * factor for name in (f"{stem}{COMMANDED}{unit}", quantity.name))
+        line(axes, series.motion.t, actual, color=BLUE, linewidth=1.2, label="actual")
+        dashed_line(axes, series.motion.t, commanded, "commanded")
+        in_view(axes, actual, commanded)
+        axes.set_ylabel(f"{stem} ({quantity.shown.unit})")
+    legend_above(grid[0], 2)
+    draw_states(figure, grid, series)

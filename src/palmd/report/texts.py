@@ -17,7 +17,6 @@ from palmd.record.damage import damage_text
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import (
     HIDDEN_STATE,
-    SDS,
     STATE,
     Errors,
     body_at,
@@ -27,7 +26,7 @@ from palmd.report.errors import (
     outline_errors,
 )
 from palmd.report.findings import NOTE, RunVerdict
-from palmd.report.series import SD, Interval, OutlineAt, Series
+from palmd.report.series import SD, SDS, Interval, OutlineAt, Series
 from palmd.system.mechanism import ENDS, JOINTS
 
 _COUNTER_PREFIXES = tuple(f"{end}_" for end in (*ENDS, "bus", "smoother", "explorer"))
@@ -71,9 +70,8 @@ def outcome(series: Series) -> str:
     """Result of the run: touched fraction, largest standard deviation, and errors if the truth is known."""
     if not series.valid.any():
         return "no estimate was valid"
-    parts = [
-        f"valid {_percent(series.valid.sum(), len(series.valid))} of the ticks, first at {_first_valid(series):.1f} s"
-    ]
+    first = float(series.estimate.t[int(np.argmax(series.valid))])
+    parts = [f"valid {series.valid.sum() / len(series.valid):.0%} of the ticks, first at {first:.1f} s"]
     outlines = last_outlines(series)
     if not outlines or not outlines[-1].valid:
         touched = series.estimate["touched"]
@@ -376,14 +374,6 @@ def _outline_summary(series: Series, outline: OutlineAt, *, several: bool) -> st
         f"{_um(errors.whole_score.max_error)}"
         + (f", e_h where touched {_um(errors.touched_score.e_h)}" if outline.touched.any() else "")
     )
-
-
-def _first_valid(series: Series) -> float:
-    return float(series.estimate.t[int(np.argmax(series.valid))])
-
-
-def _percent(part: float, whole: int) -> str:
-    return f"{part / whole:.0%}"
 
 
 def _with_unit(name: str, value: float) -> str:

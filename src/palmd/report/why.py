@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 from palmd.faults import TABLE
@@ -188,13 +189,13 @@ def _not_stopped(run: AnyRun, timeline: Timeline, t: float, others: tuple[tuple[
     current = timeline.at(t) or timeline.states[0]
     case = RunCase(timeline, closeup_of(run, min(t, timeline.end)), run.config, run.topics)
     rel = t - timeline.begin
+    explained = partial(Explanation, run.path.name, rel, current.state)
     gap = timeline.gap(t, t) if run.damage.damaged else None
     if gap is not None:
         return _damaged(run, timeline, gap, t, others)
-    lost_end = run.damage.cut or (run.damage.lost and run.damage.lost[-1].before_ns is None)
-    if t >= timeline.end - NEAR_END_S and current.state in _COMMANDED and lost_end:
-        return _damaged(run, timeline, (timeline.end, math.inf), t, others)
     if t >= timeline.end - NEAR_END_S and current.state in _COMMANDED:
+        if run.damage.cut or (run.damage.lost and run.damage.lost[-1].before_ns is None):
+            return _damaged(run, timeline, (timeline.end, math.inf), t, others)
         later = _successor(run)
         if later is None:
             cause = of_end(case, being_written=_is_being_written(run))
@@ -203,36 +204,20 @@ def _not_stopped(run: AnyRun, timeline: Timeline, t: float, others: tuple[tuple[
             if t >= continuation.begin - CONTINUATION_GAP_S and t > timeline.end:
                 return answer(later, continuation, t)
             cause = of_continuation(case, later.path.name, continuation.log)
-        since = timeline.end - timeline.begin
-        return Explanation(
-            run.path.name, rel, current.state, "the recording ends", since, math.inf, cause, (), "", others
-        )
+        return explained("the recording ends", timeline.end - timeline.begin, math.inf, cause, (), "", others)
     if t > timeline.end + AFTER_END_S:
         end = f"{timeline.end - timeline.begin:.2f} s"
         raise RunError(f"{run.path}: no data at {rel:.2f} s: the run ends after {end}, in state {current.state}")
     if current.state == "tracking":
         recent = [each for each in timeline.states if t - RECENT_S < each.t <= t]
         faults = {code: severity for each in (current, *recent) for code, severity in each.faults.items()}
-        return Explanation(
-            run.path.name, rel, current.state, "", rel, rel, of_tracking(case, faults, t), (), "", others
-        )
+        return explained("", rel, rel, of_tracking(case, faults, t), (), "", others)
     cause = StopCause("before", "", f"the arm had not been commanded yet: the state was {current.state}")
     acting = current.with_severity("hold", "stop")
     if acting:
         cause = of_fault(case, acting, current.t)
     standing = tuple((code, timeline.fault_duration(code, current.t)) for code in acting)
-    return Explanation(
-        run.path.name,
-        rel,
-        current.state,
-        "",
-        rel,
-        rel,
-        cause,
-        standing,
-        "; ".join(current.hints[c] for c in acting),
-        others,
-    )
+    return explained("", rel, rel, cause, standing, "; ".join(current.hints[c] for c in acting), others)
 
 
 def _damaged(
@@ -240,9 +225,8 @@ def _damaged(
 ) -> Explanation:
     """The explanation for a time in a damaged part of the file."""
     begin, end = (each - timeline.begin for each in gap)
-    cause = of_damage(
-        damage_text(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
-    )
+    until = "its end" if math.isinf(end) else f"{end:.2f} s"
+    cause = of_damage(damage_text(run.damage, run.layout.begin_ns), f"{begin:.2f} s", until)
     before = timeline.at(gap[0])
     state = before.state if before is not None else ""
     rel = begin if t is None else t - timeline.begin

@@ -20,7 +20,7 @@ from palmd.events import PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.motion.kinematics import RigGeometry
 from palmd.observer.criticism import RigBelief
-from palmd.record.eventlog import read_log, write_log
+from palmd.record.eventlog import event_line, header_line, line_text, read_log
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -197,8 +197,8 @@ def test_with_what_is_proposed_nothing_is_left(misjudged, proposed, tmp_path):
     config, run = tmp_path / "palmd.yaml", tmp_path / "run.jsonl"
     config.write_text(yaml.safe_dump(after.model_dump(mode="json", include={"rig", "pads", "arm"})))
     log = read_log(misjudged[1])
-    with run.open("w") as stream:
-        write_log(stream, log.rig, [read_again(event, before, after) for event in log.events])
+    again = [event_line(read_again(event, before, after)) for event in log.events]
+    run.write_text("".join(map(line_text, [header_line(log.rig), *again])))
     assert main(["calibrate", "self", str(config), str(run)]) == 0
     again = yaml.safe_load((tmp_path / FOUND).read_text())["found"]
     for name in TRUTH:

@@ -7,7 +7,7 @@ import recorded
 from palmd.cli import main
 from palmd.quantities import ESTIMATE, IMPROVEMENT
 from palmd.record import RunError
-from palmd.record.mcapfile import Preface, RunWriter
+from palmd.record.mcapfile import Preface
 from palmd.record.metadata import METADATA
 from palmd.record.run import read_run
 from palmd.system.rig_constants import RIG_NAMES
@@ -36,11 +36,7 @@ COMMANDS = {
 def written(path, topics=(), attached=True, **metadata):
     run = read_run(lived.path())
     said = {METADATA: {**run.metadata, **metadata}} if metadata != {"none": True} else {}
-    with path.open("wb") as stream:
-        writer = RunWriter(stream, Preface(said, run.preface.attachments if attached else {}), 0, compressed=False)
-        for message in run.messages(*topics):
-            writer.write(message)
-        writer.finish()
+    recorded.written(path, run.messages(*topics), Preface(said, run.preface.attachments if attached else {}))
 
 
 @pytest.fixture(scope="module")
@@ -113,11 +109,8 @@ def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
 def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
     path = tmp_path / "run.mcap"
     run = read_run(lived.path())
-    with path.open("wb") as stream:
-        writer = RunWriter(stream, run.preface, 0, compressed=False)
-        fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}
-        fields |= {"frame": 1, "established": True, "touched": [0], "rig": [0.0] * len(RIG_NAMES), "spread": [1.0, 2.0]}
-        writer.write(recorded.message(IMPROVEMENT.name, fields, 0))
-        writer.finish()
+    fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}
+    fields |= {"frame": 1, "established": True, "touched": [0], "rig": [0.0] * len(RIG_NAMES), "spread": [1.0, 2.0]}
+    recorded.written(path, [recorded.message(IMPROVEMENT.name, fields, 0)], run.preface)
     with pytest.raises(RunError, match=f"^{path}: {IMPROVEMENT.name}, message 0: "):
         list(read_run(path).improvements())

@@ -2,7 +2,6 @@
 
 import contextlib
 import gzip
-import io
 import json
 import math
 from dataclasses import replace
@@ -12,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.record.eventlog import LogError, header_line, read_log, write_log
+from palmd.record.eventlog import LogError, event_line, header_line, line_text, read_log
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.vibration import AVERAGED, DRY, Vibration
@@ -38,6 +37,18 @@ def log(tmp_path):
         data = lines[0] if isinstance(lines[0], bytes) else "".join(f"{line}\n" for line in lines).encode()
         path.write_bytes(data)
         return path
+
+    return write
+
+
+@pytest.fixture
+def described(log):
+    """Writes a log of one reading with these keys in its rig; its path."""
+
+    def write(**rig):
+        header = json.loads(FIXED)
+        header["rig"] |= rig
+        return log(json.dumps(header), PAD)
 
     return write
 
@@ -85,10 +96,8 @@ def test_golden_lines(log):
         ({"zero_m": 1e-4, "map_m": 0.0}, 0.0),
     ],
 )
-def test_pads_have_the_error_of_place_that_a_calibration_leaves_unless_all_is_known(log, told, map_sd):
-    header = json.loads(FIXED)
-    header["rig"]["calibration_sd"] = told
-    assert [pad.map_sd for pad in read_log(log(json.dumps(header), PAD)).rig.pads] == [map_sd] * 2
+def test_pads_have_the_error_of_place_that_a_calibration_leaves_unless_all_is_known(described, told, map_sd):
+    assert [pad.map_sd for pad in read_log(described(calibration_sd=told)).rig.pads] == [map_sd] * 2
 
 
 MAPPED = {"map": [[0.0, 0.0], [20.0, 0.1], [40.0, -0.2]]}
@@ -127,10 +136,8 @@ def test_a_map_that_is_none_is_refused_by_name(log, points):
         read_log(log(with_pads({"map": points}, {}), PAD))
 
 
-def test_what_a_header_may_add_and_leave_out(log):
-    header = json.loads(FIXED)
-    header["rig"] |= {"palm_angle_noise_rad": 1e-3, "force_resolution_n": 0.0, "palm2_length_m": 0.2, "colour": "red"}
-    rig = read_log(log(json.dumps(header), PAD)).rig
+def test_what_a_header_may_add_and_leave_out(described):
+    rig = read_log(described(palm_angle_noise_rad=1e-3, force_resolution_n=0.0, palm2_length_m=0.2, colour="red")).rig
     assert rig.hinge == "fixed"
     assert (rig.palm_angle_noise, [pad.force_resolution for pad in rig.pads]) == (1e-3, [0.0, 0.0])
 
@@ -146,10 +153,8 @@ def test_what_a_header_may_add_and_leave_out(log):
     ],
     ids=["nothing", "null", "one", "known", "known alike"],
 )
-def test_what_a_log_does_not_say_of_the_rigs_constants(log, told, zero, lag, friction):
-    header = json.loads(FIXED)
-    header["rig"]["calibration_sd"] = told
-    rig = read_log(log(json.dumps(header), PAD)).rig
+def test_what_a_log_does_not_say_of_the_rigs_constants(described, told, zero, lag, friction):
+    rig = read_log(described(calibration_sd=told)).rig
     assert (rig.pads[0].zero_sd, rig.pads[1].lag_sd, rig.friction_sd) == (zero, lag, friction)
 
 
@@ -293,10 +298,8 @@ def test_a_bad_header_is_told(log, header, what):
         ({"speed_m_s": 0.015, "speed_m_s_sd": 1e-3}, Vibration(speed=0.015, speed_sd=1e-3)),
     ],
 )
-def test_vibration_in_the_header(log, written, meant):
-    header = json.loads(FIXED)
-    header["rig"]["vibration"] = written
-    assert read_log(log(json.dumps(header), PAD)).rig.vibration == meant
+def test_vibration_in_the_header(described, written, meant):
+    assert read_log(described(vibration=written)).rig.vibration == meant
 
 
 @pytest.mark.parametrize(
@@ -314,10 +317,8 @@ def test_vibration_in_the_header(log, written, meant):
         ({"relation": ["independent"]}, "vibration.relation must be one of"),
     ],
 )
-def test_a_vibration_that_is_refused(log, written, what):
-    header = json.loads(FIXED)
-    header["rig"]["vibration"] = written
-    assert f"run.jsonl:1: {what}" in refused(log(json.dumps(header), PAD))
+def test_a_vibration_that_is_refused(described, written, what):
+    assert f"run.jsonl:1: {what}" in refused(described(vibration=written))
 
 
 def test_files_that_are_no_log(log, tmp_path):
@@ -390,10 +391,9 @@ rigs = st.builds(
 def test_what_is_written_is_read_again(tmp_path, rig, run, length):
     if rig.hinge == "arc":
         rig = replace(rig, palm1_length=length, base=(length, 0.0))
-    stream = io.StringIO()
-    write_log(stream, rig, [*run, PadLift(1.0, 1)])
+    assert event_line(PadLift(1.0, 1)) is None
     path = tmp_path / "run.jsonl"
-    path.write_text(stream.getvalue(), encoding="utf-8")
+    path.write_text("".join(map(line_text, [header_line(rig), *map(event_line, run)])), encoding="utf-8")
     read = read_log(path)
     assert read.rig == rig
     assert read.events == tuple(run)
@@ -411,7 +411,14 @@ def test_pads_that_differ_come_back_as_they_were(log):
 
 
 @pytest.mark.parametrize("pads", [{}, [{}], [{"length_m": 0.05}, 3], [{"length_m": 0.05}, {"length_m": 0.05}]])
-def test_pads_that_are_no_pads_are_refused(log, pads):
-    header = json.loads(HEADER)
-    header["rig"]["pads"] = pads
-    assert ":1: " in refused(log(json.dumps(header), PAD))
+def test_pads_that_are_no_pads_are_refused(described, pads):
+    assert ":1: " in refused(described(pads=pads))
+
+
+@pytest.mark.parametrize(("most_n", "saturated"), [(2.54, 6), (3.0, 0), (2.0, 0)])
+def test_forces_at_the_pads_last_count_are_at_least_that(log, most_n, saturated):
+    forces = [min(0.5 * n, most_n) for n in range(1, 12)]
+    lines = (f'{{"t":{0.01 * n},"pad":1,"s_m":0.02,"force_n":{force}}}' for n, force in enumerate(forces))
+    clipped = [sample for sample in read_log(log(FIXED, *lines)).events if sample.at_least is not None]
+    assert len(clipped) == saturated
+    assert all(sample.force is None for sample in clipped)

@@ -77,15 +77,6 @@ def test_the_rigs_truth_stands_at_its_time(tmp_path):
     assert behind == 0  # no event stands behind a truth that is later
 
 
-def test_estimate_says_of_a_run_what_it_says_of_its_event_log(tmp_path):
-    log = exported(tmp_path / "run.jsonl")
-    outs = tmp_path / "a.jsonl", tmp_path / "b.jsonl"
-    for source, out in zip((lived.path(), log), outs, strict=True):
-        assert main(["estimate", str(source), "-o", str(out), "--observer", "extended"]) == 0
-    assert outs[0].read_bytes() == outs[1].read_bytes()
-    assert outs[0].stat().st_size > 100_000
-
-
 # ---------------------------------------------------------------------------------------------- CSV
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import lived
 
-from palmd.cli import main
 from palmd.record.export_json import SCENE, schema
 from palmd.record.run import read_run
 from palmd.record.tables import field_examples
@@ -36,11 +35,10 @@ def test_every_panel_stands_somewhere():
     assert sorted(placed) == sorted(PANELS)
 
 
-def test_every_path_leads_to_a_field(tmp_path):
+def test_every_path_leads_to_a_field():
     known = {
         topic: schema(topic, fields) for topic, fields in field_examples(read_run(lived.path()), lambda: None).items()
     }
-    assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.mcap")]) == 0
     found = list(paths())
     assert len(found) > 20
     for path in found:
@@ -54,7 +52,5 @@ def test_every_path_leads_to_a_field(tmp_path):
             field = field["properties"][rest[1]]
         assert field["type"] in ("number", "boolean"), path
 
-
-def test_state_and_estimate_can_be_read():
-    raw = {panel["topicPath"] for name, panel in PANELS.items() if name.startswith("RawMessages!")}
-    assert raw == {"palm/state", "palm/estimate"}
+    topics = {panel["topicPath"] for panel in PANELS.values() if "topicPath" in panel}
+    assert topics <= known.keys()

@@ -167,28 +167,22 @@ def test_a_damaged_chunk_is_left_out_and_counted(tmp_path):
     assert (damage.messages, damage.exact) == (42, True)
 
 
-def test_a_damaged_preface_costs_what_is_damaged_and_no_more(tmp_path):
+def test_damage_costs_what_is_damaged_and_no_more(tmp_path):
+    """Of the preface its metadata, of a channel its messages."""
     stream, path = BytesIO(), tmp_path / "run.mcap"
     small(stream, compressed=False)
-    data = bytearray(stream.getvalue())
-    data[data.index(b"schema")] = 0xFF  # no text any longer
-    path.write_bytes(data)
-    layout = read_layout(path)
-    assert layout.preface == Preface({}, {"a.txt": b"abc"})
-    assert layout.damage.preface_bytes > 0
-    assert list(read_messages(path)) == THREE
+    whole = stream.getvalue()
+    for at, left in ((whole.index(b"schema"), THREE), (whole.rindex(b"rig/truth"), [])):
+        data = bytearray(whole)
+        data[at] = 0xFF  # no text any longer
+        path.write_bytes(data)
+        assert list(read_messages(path)) == left
+        layout = read_layout(path)
+        assert layout.preface.attachments == {"a.txt": b"abc"}
+        assert (layout.damage.preface_bytes > 0) == (layout.preface.metadata == {}) == (left == THREE)
 
 
-def test_messages_of_a_damaged_channel_are_left_out(tmp_path):
-    stream, path = BytesIO(), tmp_path / "run.mcap"
-    small(stream, compressed=False)
-    data = bytearray(stream.getvalue())
-    data[data.rindex(b"rig/truth")] = 0xFF
-    path.write_bytes(data)
-    assert list(read_messages(path)) == []
-
-
-@pytest.mark.parametrize("content", [b"", b"palmd", b'{"palmd_log":1}\n' * 9])
+@pytest.mark.parametrize("content", [b"", b"palmd", b'{"palmd_log":1}\n' * 9, bytes(100_000)])
 def test_what_is_no_mcap_file_is_refused(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)

@@ -10,7 +10,6 @@ from palmd.cli import main
 from palmd.console.shipped import shipped
 from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
-from palmd.record.mcapfile import RunWriter
 from palmd.record.metadata import preface
 from palmd.systems import LIVE, TWO_PALMS
 from palmd.topics import SYSTEM_TOPICS
@@ -43,15 +42,13 @@ def run(request, tmp_path):
     topics = SYSTEM_TOPICS[request.param]
     path = tmp_path / "runs" / "run.mcap"
     path.parent.mkdir()
-    with path.open("wb") as stream:
-        writer = RunWriter(stream, preface(config, recorded.BEGIN.isoformat()), 0, compressed=True)
-        for number in range(30):
-            for topic in (topics.estimate, topics.motion, topics.contact, STATE):
-                state = {"state": "tracking"} if topic is STATE else {}
-                writer.write(recorded.message(topic.name, fields_of(topic, **state), number, 0.1 * number))
-        writer.write(recorded.message(topics.shape.name, shape_of(topics.shape), 0, 3.0))
-        writer.finish()
-    return path
+    messages = [
+        recorded.message(topic.name, fields_of(topic, **({"state": "tracking"} if topic is STATE else {})), n, 0.1 * n)
+        for n in range(30)
+        for topic in (topics.estimate, topics.motion, topics.contact, STATE)
+    ]
+    messages.append(recorded.message(topics.shape.name, shape_of(topics.shape), 0, 3.0))
+    return recorded.written(path, messages, preface(config, recorded.BEGIN.isoformat()), compressed=True)
 
 
 def test_it_has_its_row(run, capsys):

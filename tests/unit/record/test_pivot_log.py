@@ -15,20 +15,8 @@ from palmd.system.pivot import GripperSample, PivotRig
 from tools.studies.pivot_logs import simulate_pivot_log
 
 FIELDS = {
-    *(
-        "verdict",
-        "converged",
-        "coverage",
-        "chi2",
-        "theta_rad",
-        "hP_m",
-        "hP_sd_m",
-        "touched",
-        "mu",
-        "mu_sd",
-        "com_from_pivot_m",
-    ),
-    *("com_from_pivot_sd_m", "inertia_pivot_m2", "inertia_pivot_sd_m2", "trajectory", "seconds"),
+    *("verdict", "converged", "coverage", "chi2", "theta_rad", "hP_m", "hP_sd_m", "touched", "mu", "mu_sd"),
+    *("com_from_pivot_m", "com_from_pivot_sd_m", "inertia_pivot_m2", "inertia_pivot_sd_m2", "trajectory", "seconds"),
 }
 
 

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 import reported
 
-from palmd.record.run import read_run
 from palmd.report import texts
 from palmd.report.findings import LEVELS, verdict_of
-from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series, TopicSeries, series_of
+from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series, TopicSeries
 
 
 @pytest.fixture(scope="module")
 def series(tmp_path_factory) -> Series:
-    run = read_run(reported.write(tmp_path_factory.mktemp("run"), reported.told(2.0)))
-    return series_of(run, run.survey())
+    return reported.series(tmp_path_factory.mktemp("run"), reported.told(2.0))
 
 
 def changed(series: Series, topic: str, **columns: np.ndarray) -> Series:

@@ -10,9 +10,8 @@ from palmd.events import PalmSample
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import CameraTrack, TrackError, read_track
-from palmd.report.camera_clock import GroundTruthError
 from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import compare
+from palmd.report.ground_truth import GroundTruthError, compare
 from tools.camera import Camera, as_csv, filmed
 from tools.studies.simulated import simulated
 

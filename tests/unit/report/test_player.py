@@ -15,15 +15,12 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.wait import WebDriverWait
 
 from palmd.cli import main
-from palmd.record.run import read_run
 from palmd.report import player_data as player
 from palmd.report.body import pose_at
-from palmd.report.series import series_of
 
 
 def series(folder, **how):
-    run = read_run(reported.write(folder, reported.told(2.5, **how)))
-    return series_of(run, run.survey())
+    return reported.series(folder, reported.told(2.5, **how))
 
 
 def column(told, name):

@@ -7,9 +7,7 @@ import pytest
 import reported
 
 from palmd.events import PalmMotion
-from palmd.record.run import read_run
 from palmd.report.body import contact_points, frames, outline_known, points, pose_at, turned
-from palmd.report.series import series_of
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.plant import FrictionSurface, Hinge
 from palmd.rig.shapes import random_body
@@ -18,8 +16,7 @@ from palmd.system.arcs import joints_of
 
 @pytest.fixture
 def series(tmp_path):
-    run = read_run(reported.write(tmp_path, reported.told(3.0, second_from=2.0)))
-    return series_of(run, run.survey())
+    return reported.series(tmp_path, reported.told(3.0, second_from=2.0))
 
 
 @pytest.mark.parametrize("count", [180, 181])

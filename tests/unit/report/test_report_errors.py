@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import reported
 
-from palmd.record.run import read_run
 from palmd.report.errors import (
     body_at,
     count_within_band,
@@ -16,16 +15,20 @@ from palmd.report.errors import (
     outline_errors,
     scores_over_time,
 )
-from palmd.report.series import series_of
 
 
 @pytest.fixture
 def series(tmp_path):
-    def made(seconds=2.5, **how):
-        run = read_run(reported.write(tmp_path, reported.told(seconds, **how)))
-        return series_of(run, run.survey())
+    return lambda **how: reported.series(tmp_path, reported.told(2.5, **how))
 
-    return made
+
+def changed(folder, seconds, from_s, change, **how):
+    """A run of which the estimates from a time on are changed."""
+    messages = list(reported.told(seconds, **how))
+    for topic, fields, t, _ in messages:
+        if topic == "palm/estimate" and t > from_s - 0.005:
+            change(fields)
+    return reported.series(folder, messages)
 
 
 def test_errors_and_how_many_are_inside(series):
@@ -49,32 +52,22 @@ def test_the_gauge_of_psi_is_taken_out(series):
 
 
 def test_every_object_has_a_gauge_of_its_own(tmp_path):
-    messages = list(reported.told(3.0, second_from=1.5))
-    for topic, fields, t, _ in messages:
-        if topic == "palm/estimate" and t > 1.495:
-            fields["psi_rad"] -= 7.0
-    run = read_run(reported.write(tmp_path, messages))
-    read = series_of(run, run.survey())
+    read = changed(tmp_path, 3.0, 1.5, lambda fields: fields.update(psi_rad=fields["psi_rad"] - 7.0), second_from=1.5)
     errors = errors_of(read)
     assert np.abs(errors.error["psi_rad"]).max() < 1e-6
     assert np.abs(errors.true["psi_rad"] - read.estimate["psi_rad"]).max() < 1e-6  # drawn beside it, no turn away
 
 
 def test_some_ticks_that_are_far_off_do_not_move_the_gauge(tmp_path):
-    messages = list(reported.told(2.0))
-    for topic, fields, t, _ in messages:
-        if topic == "palm/estimate" and t > 1.795:
-            fields["psi_rad"] += 0.5
-    run = read_run(reported.write(tmp_path, messages))
-    error = errors_of(series_of(run, run.survey())).error["psi_rad"]
+    read = changed(tmp_path, 2.0, 1.8, lambda fields: fields.update(psi_rad=fields["psi_rad"] + 0.5))
+    error = errors_of(read).error["psi_rad"]
     assert np.abs(error[:180]).max() < 1e-6
     assert error[180:] == pytest.approx(np.full(20, 0.5))
 
 
 def test_truth_that_begins_late_is_not_made_up(tmp_path):
     messages = [each for each in reported.told(2.0) if not (each[0] == "rig/truth" and each[2] < 0.995)]
-    run = read_run(reported.write(tmp_path, messages))
-    read = series_of(run, run.survey())
+    read = reported.series(tmp_path, messages)
     errors = errors_of(read)
     for name in ("r1_m", "psi_rad", "f1_n"):
         assert np.isnan(errors.error[name]).sum() == 100
@@ -114,12 +107,7 @@ def test_each_object_with_a_valid_outline_is_shown_once(series):
 
 
 def test_what_came_after_the_last_valid_outline_is_not_shown(tmp_path):
-    messages = list(reported.told(2.5))
-    for topic, fields, t, _ in messages:
-        if topic == "palm/estimate" and t > 1.995:
-            fields["valid"] = False
-    run = read_run(reported.write(tmp_path, messages))
-    (outline,) = last_outlines(series_of(run, run.survey()))
+    (outline,) = last_outlines(changed(tmp_path, 2.5, 2.0, lambda fields: fields.update(valid=False)))
     assert outline.t == pytest.approx(1.9)
 
 

@@ -18,11 +18,10 @@ from palmd.cli import main
 from palmd.console.extras import install_line
 from palmd.messages import rig_fields
 from palmd.quantities import ESTIMATE, LOOP, RIG
-from palmd.record.run import read_run
 from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
 from palmd.report.sections import CaptionedFigure, Report, rendered, report_of
-from palmd.report.series import TopicSeries, series_of
+from palmd.report.series import TopicSeries
 from palmd.system.rig_constants import RIG_NAMES
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -35,8 +34,7 @@ def path():
 
 
 def report(folder, messages, **how):
-    run = read_run(reported.write(folder, messages, **how))
-    return report_of(series_of(run, run.survey()))
+    return report_of(reported.series(folder, messages, **how))
 
 
 def titles(made):
@@ -187,16 +185,12 @@ def test_numbers_that_are_not_known(tmp_path):
 
 
 def test_cut_short_is_said(tmp_path):
-    messages = list(reported.told(0.3))
-    cut = reported.write(tmp_path, messages, finish=False)
-    cut.write_bytes(cut.read_bytes()[:-10])
-    run = read_run(cut)
-    assert "not finished" in said(report_of(series_of(run, run.survey())))["recording"]
+    made = report(tmp_path, reported.told(0.3), finish=False)
+    assert "not finished" in said(made)["recording"]
 
 
 def test_a_figure_of_a_long_run_stays_small(tmp_path):
-    run = read_run(reported.write(tmp_path, reported.told(2.0)))
-    read = series_of(run, run.survey())
+    read = reported.series(tmp_path, reported.told(2.0))
     state = next(section for section in report_of(read).sections if section.title == "State").parts[0]
 
     def points_of(figure):

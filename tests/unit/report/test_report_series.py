@@ -12,14 +12,9 @@ from palmd.record.run import read_run
 from palmd.report.series import SD, series_of
 
 
-def series(folder, messages, **how):
-    run = read_run(reported.write(folder, messages, **how))
-    return series_of(run, run.survey())
-
-
 def test_everything_is_there_at_its_time(tmp_path):
     messages = list(reported.told(3.0, second_from=2.0))
-    read = series(tmp_path, messages)
+    read = reported.series(tmp_path, messages)
     sent = [fields for topic, fields, *_ in messages if topic == ESTIMATE.name]
     assert len(read.estimate.t) == len(sent) == 300
     assert read.estimate.t == pytest.approx(np.arange(300) * 0.01, abs=1e-8)
@@ -38,7 +33,7 @@ def test_everything_is_there_at_its_time(tmp_path):
 
 
 def test_what_lasted_and_what_went_wrong(tmp_path):
-    read = series(tmp_path, reported.told(2.5))
+    read = reported.series(tmp_path, reported.told(2.5))
     assert [spell.label for spell in read.states] == ["idle", "tracking"]
     assert read.states[0].end == read.states[1].begin == pytest.approx(0.2)
     assert read.states[-1].end == read.duration
@@ -62,7 +57,7 @@ def test_a_field_that_comes_late_is_not_known_before(tmp_path):
     for topic, fields, t, _ in messages:
         if topic == ESTIMATE.name and t > 0.495:
             fields["sd"]["com_z_m"] = 1.0
-    column = series(tmp_path, messages).estimate[SD + "com_z_m"]
+    column = reported.series(tmp_path, messages).estimate[SD + "com_z_m"]
     assert np.isnan(column).sum() == 50
     assert column[50:].tolist() == [1.0] * 50
 
@@ -80,7 +75,7 @@ def test_a_run_that_was_cut_off_tells_what_was_left_out(tmp_path):
 
 def test_topics_that_are_not_there_are_empty(tmp_path):
     kept = (ESTIMATE.name,)
-    read = series(tmp_path, [each for each in reported.told(0.5) if each[0] in kept])
+    read = reported.series(tmp_path, [each for each in reported.told(0.5) if each[0] in kept])
     assert len(read.motion.t) == len(read.loop.t) == len(read.truth.t) == 0
     assert read.states == read.segments == read.faults == read.outlines == read.bodies == ()
     assert read.counts == {}
@@ -96,7 +91,7 @@ def test_progress_counts_every_message(tmp_path):
 
 def test_without_an_estimate_there_is_nothing_to_report(tmp_path):
     with pytest.raises(RunError, match=r"holds no palm/estimate: there is nothing to report"):
-        series(tmp_path, [each for each in reported.told(0.3) if each[0] == MOTION.name])
+        reported.series(tmp_path, [each for each in reported.told(0.3) if each[0] == MOTION.name])
 
 
 @pytest.mark.parametrize(
@@ -112,6 +107,6 @@ def test_a_message_that_is_not_what_its_topic_says_is_named(tmp_path, topic, fie
 
 
 def test_a_column_nobody_told_is_unknown(tmp_path):
-    read = series(tmp_path, reported.told(0.2))
+    read = reported.series(tmp_path, reported.told(0.2))
     assert math.isnan(read.contact["age9_ms"][0])
     assert len(read.contact["age9_ms"]) == 20

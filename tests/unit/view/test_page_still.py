@@ -15,7 +15,7 @@ import zmq
 from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, PHONE, SMALL, WIDE, Page, browser
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
-from test_view import Served
+from served import Served
 
 from palmd.harness.processes import Child
 from palmd.model.icosphere import icosphere

@@ -1,13 +1,12 @@
 """The page's runs and configuration: who may have them, what is told, and that no name leads anywhere else."""
 
+import contextlib
 import json
 import os
 import time
 
 import pytest
-from test_view import Served, answers
-
-from palmd.view.server import Settings
+from served import Served, answers
 
 CONFIG = """pads: {palm1: {port: /dev/a, zero_mm: 280}, palm2: {port: /dev/b}}
 arm: {port: /dev/c}
@@ -16,7 +15,7 @@ arm: {port: /dev/c}
 
 
 @pytest.fixture
-def library(daemon, tmp_path, monkeypatch):
+def library(daemon, tmp_path):
     """A server with a folder of runs and a configuration; (server, runs, config)."""
     runs, config = tmp_path / "runs", tmp_path / "palmd.yaml"
     runs.mkdir()
@@ -26,21 +25,8 @@ def library(daemon, tmp_path, monkeypatch):
     (runs / "old.note").write_text("a note", encoding="utf-8")
     (tmp_path / "secret.mcap").write_bytes(b"elsewhere")
     config.write_text(CONFIG, encoding="utf-8")
-    made = Settings
-    monkeypatch.setattr("test_view.PATIENCE_S", 60.0)  # for palmd commands on a busy machine
-    monkeypatch.setattr("test_view.Settings", lambda *args: made(*args, runs=runs, config=config))
-    server = Served(daemon)
-    yield server, runs, config
-    server.close()
-
-
-@pytest.fixture
-def daemon():
-    from test_view import Daemon
-
-    one = Daemon()
-    yield one
-    one.close()
+    with contextlib.closing(Served(daemon, runs=runs, config=config)) as server:
+        yield server, runs, config
 
 
 def asks(page, command, **args):

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import hashlib
-import http.client
 import json
 import math
 import re
@@ -13,9 +12,8 @@ import time
 
 import msgpack
 import pytest
-import zmq
+from served import PATIENCE_S, TOKEN, answer, batches, heard, said, until_commandable
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from palmd.cli import main
 from palmd.cli.view import allowed
@@ -23,153 +21,6 @@ from palmd.daemon.commands import COMMANDS
 from palmd.view import command_client, http_guard, naming, wire
 from palmd.view.client import PageClient
 from palmd.view.files import STATIC, page_files, without_comments
-from palmd.view.server import Settings, serve_page
-
-PATIENCE_S = 10.0
-TOKEN = "open sesame"
-
-
-class Daemon:
-    """A publisher and a command socket, as a daemon has them; it answers what it is told to."""
-
-    def __init__(self):
-        self._context = zmq.Context()
-        self._publisher = self._context.socket(zmq.PUB)
-        self.publish = f"tcp://127.0.0.1:{self._publisher.bind_to_random_port('tcp://127.0.0.1')}"
-        self._commands = None
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.command = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
-
-    def say(self, topic, fields):
-        self.send(topic.encode(), msgpack.packb(fields), b"1.0")
-
-    def send(self, *frames):
-        self._publisher.send_multipart(frames)
-
-    def take_commands(self):
-        self._commands = self._context.socket(zmq.ROUTER)
-        self._commands.bind(self.command)
-
-    def asked(self, wait_s=PATIENCE_S):
-        """The next command and the way back, None when none comes."""
-        if not self._commands.poll(wait_s * 1e3):
-            return None
-        route, payload = self._commands.recv_multipart()
-        return route, msgpack.unpackb(payload)
-
-    def reply(self, route, **fields):
-        self._commands.send_multipart([route, msgpack.packb(fields)])
-
-    def close(self):
-        self._context.destroy(linger=0)
-
-
-@pytest.fixture
-def daemon():
-    one = Daemon()
-    yield one
-    one.close()
-
-
-class Served:
-    """The page's server in a thread of its own."""
-
-    def __init__(self, daemon):
-        self._ready = threading.Event()
-        self._settings = Settings(daemon.publish, daemon.command, "", 0, TOKEN, allowed())
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
-        self._thread.start()
-        assert self._ready.wait(PATIENCE_S)
-
-    async def _serve(self):
-        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        await serve_page(self._settings, self._is_ready, self._stop)
-
-    def _is_ready(self, url):
-        self.url = url
-        self.port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/#token=open sesame", url)[1])
-        self._ready.set()
-
-    def close(self):
-        self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join(PATIENCE_S)
-        assert not self._thread.is_alive()
-
-    def get(self, path, **headers):
-        """Status, headers and body of a request, its path as it stands."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
-        with contextlib.closing(connection):
-            connection.putrequest("GET", path, skip_host="Host" in headers)
-            for name, value in headers.items():
-                connection.putheader(name, value)
-            connection.endheaders()
-            response = connection.getresponse()
-            return response.status, response.headers, response.read()
-
-    @contextlib.contextmanager
-    def page(self, token=TOKEN):
-        """A page's socket, and the first words to it."""
-        with self.socket() as opened:
-            opened.send(json.dumps({"token": token}))
-            yield opened, json.loads(opened.recv(PATIENCE_S))["hello"]
-
-    def socket(self, origin=None, host="127.0.0.1"):
-        here = f"{host}:{self.port}"
-        return connect(f"ws://{here}/socket", origin=origin or f"http://{here}", proxy=None, close_timeout=1)
-
-
-@pytest.fixture
-def served(daemon):
-    one = Served(daemon)
-    yield one
-    one.close()
-
-
-def said(page, kind, what):
-    """The messages to a page of one kind, text or bytes, for as long as patience lasts."""
-    t_end = time.monotonic() + PATIENCE_S
-    while time.monotonic() < t_end:
-        message = page.recv(PATIENCE_S)
-        if isinstance(message, kind):
-            yield message
-    raise AssertionError(f"waited in vain for {what}")
-
-
-def batches(page):
-    """What comes in batches: (lost, commandable, {topic: payload})."""
-    for message in said(page, bytes, "what should be in a batch"):
-        _, lost, commandable, messages = msgpack.unpackb(message)
-        yield lost, commandable, messages
-
-
-def answers(page):
-    """What a page is told of its orders."""
-    for message in said(page, str, "the answer to an order"):
-        yield json.loads(message)["answer"]
-
-
-def heard(page, *topics):
-    """The messages that came until each of the topics has come."""
-    found = []
-    for _, _, messages in batches(page):
-        found += messages
-        if {topic for topic, _ in found} >= set(topics):
-            break
-    return found
-
-
-def answer(page, command):
-    """What the page is told of a command."""
-    page.send(json.dumps({"id": 7, "cmd": command}))
-    told = next(answers(page))
-    assert (told["id"], told["cmd"]) == (7, command)
-    return told["error"]
-
-
-def until_commandable(page):
-    assert any(commandable for _, commandable, _ in batches(page))
-
 
 # --------------------------------------------------------------------------------------------------- the files
 
@@ -263,7 +114,18 @@ def test_a_socket_needs_an_origin(served):
 
 
 @pytest.mark.parametrize(
-    "first", ["", "hello", "[]", "{}", '{"token": 1}', '{"id": 1, "cmd": "arm"}', b"\xff", "[" * 4000]
+    "first",
+    [
+        "",
+        "hello",
+        "[]",
+        "{}",
+        '{"token": 1}',
+        '{"token": "", "page": "a b"}',
+        '{"id": 1, "cmd": "arm"}',
+        b"\xff",
+        "[" * 4000,
+    ],
 )
 def test_the_first_message_must_show_a_token_or_none(served, first):
     with served.socket() as page:
@@ -293,7 +155,7 @@ def test_a_token_that_is_no_text_at_all_is_not_ours():
 def test_a_command_reaches_the_daemon_and_its_answer_the_page(daemon, served):
     daemon.take_commands()
     with served.page() as (page, hello):
-        assert (hello["operator"], hello["command"]) == (True, daemon.command)
+        assert (hello["operator"], hello["command"], hello["allowed"]) == (True, daemon.command, allowed())
         until_commandable(page)
         for reply, error in (({"ok": True}, None), ({"ok": False, "error": "arm first"}, "arm first")):
             page.send(json.dumps({"id": 1, "cmd": "jog", "args": {"phi1_deg": 0.4}}))
@@ -488,16 +350,6 @@ def test_a_page_that_reads_nothing_holds_up_nobody(daemon, served):
             heard(page, "palm/shape")
         assert stuck.protocol.state.name == "OPEN"
         assert not any(lost for lost, _, _ in [next(batches(page))])
-
-
-def test_the_wire_says_what_it_must():
-    text = wire.hello("1", True, "tcp://a", "tcp://b", {"arm": ["ready"]}, "page 1")
-    assert json.loads(text)["hello"]["allowed"] == {"arm": ["ready"]}
-    assert wire.token_in('{"token": null}') == ("", "")
-    assert wire.token_in('{"token": "t", "page": "ab1"}') == ("t", "ab1")
-    assert wire.token_in('{"token": "t", "page": "a b"}') is None
-    assert wire.order_in('{"id": 3, "cmd": "arm"}') == wire.Order(3, "arm")
-    assert wire.order_in('{"id": 3, "cmd": "jog", "args": {"a": 0.4}}') == wire.Order(3, "jog", {"a": 0.4})
 
 
 # ---------------------------------------------------------------------------------------------------- bad input

@@ -7,23 +7,10 @@ import socket
 from types import SimpleNamespace
 
 import pytest
-from test_view import PATIENCE_S, Daemon, Served, answer, answers, until_commandable
+from served import PATIENCE_S, answer, answers, until_commandable
 
 from palmd.view import command_client
 from palmd.view import server as module
-
-
-@pytest.fixture
-def daemon():
-    with contextlib.closing(Daemon()) as one:
-        yield one
-
-
-@pytest.fixture
-def served(daemon):
-    with contextlib.closing(Served(daemon)) as one:
-        yield one
-        one.get("/")  # whoever has knocked before has been let in by then, and is let go in good order
 
 
 def knock(port):

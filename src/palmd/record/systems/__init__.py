@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from palmd.record.logline import BadLineError, Line, shown
 from palmd.record.logreader import LogParser, read_log_as
@@ -38,6 +38,19 @@ class Reconstructed:
     mesh: Mesh | None = None
 
 
+Rig = TypeVar("Rig")
+LogEvent = TypeVar("LogEvent")
+
+
+@dataclass(frozen=True, slots=True)
+class SystemLog(Generic[Rig, LogEvent]):
+    """A run of a system other than two palms: the rig, its events, and notes on omitted lines."""
+
+    rig: Rig
+    events: tuple[LogEvent, ...]
+    notes: tuple[str, ...] = ()
+
+
 class System(LogParser, Protocol):
     """One system. Its logs, built by `log`, have `rig`, `events` and `notes`."""
 
@@ -58,12 +71,11 @@ class System(LogParser, Protocol):
         """
         ...
 
-    def tick_count(self, log: Any) -> int:
-        """Number of ticks that `estimate` yields."""
-        ...
-
     def estimate(self, log: Any, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
-        """The observer's estimates tick by tick, each from earlier events only; raises `NotYetError`."""
+        """The observer's estimates for `replay.tick_count(log)` ticks, each from earlier events; raises `NotYetError`.
+
+        Systems with a single observer ignore `observer`.
+        """
         ...
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import curves_factory
-from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks, tick_count
-from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
+from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
@@ -30,13 +30,8 @@ _MAX_DISTANCE_M = 1.0
 _PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
 
 
-@dataclass(frozen=True, slots=True)
-class PivotLog:
-    """A run: the rig, its events in file order, and notes on omitted lines."""
-
-    rig: PivotRig
-    events: tuple[PivotEvent, ...]
-    notes: tuple[str, ...] = ()
+PivotLog = SystemLog[PivotRig, PivotEvent]
+"""Its events are in file order."""
 
 
 class PivotLogParser:
@@ -91,7 +86,7 @@ class PivotLogParser:
 
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
         """Build the log from rig, events and notes."""
-        return PivotLog(rig, events, notes)
+        return SystemLog(rig, events, notes)
 
 
 class Pivot(PivotLogParser):
@@ -100,27 +95,17 @@ class Pivot(PivotLogParser):
     name = "pivot"
 
     def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
-        """The log with the rig's standard deviations replaced."""
         return replace(log, rig=log.rig.known_to(sds))
 
     def reconstruct(self, log: PivotLog, seed: int, progress: Callable[[str], None] | None = None) -> Reconstructed:
-        """Reconstruct outline about the pivot, motion and friction; `seed` is not used, as all starts are tried."""
-        del seed, progress
+        del seed, progress  # all starts are tried
         answer = reconstruct(log.events, log.rig)
         line = as_line(answer, log.rig)
         text = verdict.in_one_line(line, summary(answer) if answer.converged else "")
         curves = curves_factory(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
         return Reconstructed(line, text, curves, line["reason"] or "")
 
-    def tick_count(self, log: PivotLog) -> int:
-        """Number of ticks that `estimate` yields."""
-        return tick_count(log)
-
     def estimate(self, log: PivotLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
-        """The live observer's estimates, tick by tick; raises NotYetError if stored outlines are given.
-
-        `observer` is ignored: there is a single observer.
-        """
         del observer
         if outlines:
             raise NotYetError("a pivoting grasp cannot recognise stored outlines")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, ObserverName, PadSample, PalmSample
+from palmd.events import FloatArray, ObserverName, PadSample, PalmSample
 from palmd.jsonvalues import column, or_none
 from palmd.model.rotation import quaternions
 from palmd.observer.three_palms.incremental import SimulatedIncrementalSmoother
@@ -21,8 +20,8 @@ from palmd.outlinefile import Outline
 from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh
-from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks, tick_count
-from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
+from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.record.vibration_line import read_vibration
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
@@ -31,33 +30,8 @@ from palmd.three_palms_messages import estimate_fields, shape_fields
 EDGE_M = 0.01  # distance beyond the pad's edge up to which a reading is accepted
 
 
-@dataclass(frozen=True, slots=True)
-class PadReading:
-    """One contact on pad 1 to 3: both coordinates (m) and the force (N), NaN if unknown."""
-
-    t: float
-    pad: int
-    a: float
-    b: float
-    force: float
-
-
-@dataclass(frozen=True, slots=True)
-class JointReport:
-    """The joints: measured angles (rad), and the commanded rates and accelerations if given."""
-
-    t: float
-    angle: tuple[float, ...]
-    plan: tuple[tuple[float, ...], tuple[float, ...]] | None
-
-
-@dataclass(frozen=True, slots=True)
-class ThreePalmsLog:
-    """A run: the rig, its events in file order, and notes on omitted lines."""
-
-    rig: ThreePalmsRig
-    events: tuple[PadReading | JointReport, ...]
-    notes: tuple[str, ...]
+ThreePalmsLog = SystemLog[ThreePalmsRig, PadSample | PalmSample]
+"""Its events are in the order of their sample times."""
 
 
 class ThreePalms:
@@ -86,7 +60,7 @@ class ThreePalms:
             vibration=vibration,
         )
 
-    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadReading | JointReport | None]:
+    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadSample | PalmSample | None]:
         if "pad" in line:
             pad = line["pad"]
             if type(pad) is not int or pad not in PALMS:
@@ -94,17 +68,18 @@ class ThreePalms:
             a, b = number(line, "a_m"), number(line, "b_m")
             force = optional(line, "force_n")
             off_pad = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
-            yield None if off_pad else PadReading(t, pad, a, b, math.nan if force is None else force)
+            yield None if off_pad else PadSample(t, pad, b, force, a)
         if "joints" in line:
             joints = block(line, "joints")
             angle = _joints(joints, "angle_rad")
             if angle is None:
                 raise BadLineError("angle_rad is missing")
             rate, acceleration = _joints(joints, "rate_rad_s"), _joints(joints, "acc_rad_s2")
-            yield JointReport(t, angle, None if rate is None or acceleration is None else (rate, acceleration))
+            planned = rate is not None and acceleration is not None
+            yield PalmSample(t, angle, rate, acceleration) if planned else PalmSample(t, angle)
 
     def log(self, rig: ThreePalmsRig, events: tuple[Any, ...], notes: tuple[str, ...]) -> ThreePalmsLog:
-        return ThreePalmsLog(rig, events, notes)
+        return SystemLog(rig, tuple(sorted(events, key=lambda event: event.t_sample)), notes)
 
     def known_to(self, log: ThreePalmsLog, sds: Mapping[str, float]) -> ThreePalmsLog:
         if any(sds.values()):
@@ -130,43 +105,19 @@ class ThreePalms:
         )
         return Reconstructed(line, text, None, line["reason"] or "", mesh)
 
-    def tick_count(self, log: ThreePalmsLog) -> int:
-        """Number of ticks that `estimate` yields."""
-        return tick_count(_SampleEvents(log))
-
     def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
-        """The live observer's estimates, tick by tick; raises NotYetError if stored outlines are given.
-
-        `observer` is ignored: there is a single observer.
-        """
         del observer
         if outlines:
             raise NotYetError("three palms in space cannot recognise stored outlines")
-        return self._ticks(_SampleEvents(log))
+        return self._ticks(log)
 
-    def _ticks(self, log: _SampleEvents) -> Iterator[TickFields]:
+    def _ticks(self, log: ThreePalmsLog) -> Iterator[TickFields]:
         live = BodyObserver(log.rig, SimulatedIncrementalSmoother(log.rig))
         for tick, t in feed_ticks(log, log.events, live):
             estimate = live.estimate(t)
             shape = live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None
             published = None if shape is None else shape_fields(shape, estimate.object_count, estimate.valid)
             yield TickFields(tick, t, estimate_fields(estimate), published)
-
-
-class _SampleEvents:
-    """A log with the daemon's event types, sorted by sample time."""
-
-    def __init__(self, log: ThreePalmsLog) -> None:
-        self.rig = log.rig
-        self.events = tuple(sorted(map(as_fed, log.events), key=lambda event: event.t_sample))
-
-
-def as_fed(event: PadReading | JointReport) -> Event:
-    """Convert an event of a log to the daemon's event type."""
-    if isinstance(event, PadReading):
-        return PadSample(event.t, event.pad, event.b, None if math.isnan(event.force) else event.force, event.a)
-    rate, acceleration = (None, None) if event.plan is None else event.plan
-    return PalmSample(event.t, event.angle, rate, acceleration)
 
 
 SYSTEM = ThreePalms()
@@ -183,20 +134,19 @@ def _joints(line: Line, key: str) -> tuple[float, ...] | None:
 
 def path_and_readings(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
     """The joints' path and the readings in time order; the path is None with fewer than 8 joint reports."""
-    reports = {event.t: event for event in log.events if isinstance(event, JointReport)}
-    contacts = sorted((event for event in log.events if isinstance(event, PadReading)), key=lambda each: each.t)
+    reports = {event.t_sample: event for event in log.events if isinstance(event, PalmSample)}
+    contacts = [event for event in log.events if isinstance(event, PadSample)]
     readings = PadReadings(
-        np.array([each.t for each in contacts]),
+        np.array([each.t_sample for each in contacts]),
         np.array([each.pad - 1 for each in contacts], dtype=np.int64),
-        np.array([[each.a, each.b] for each in contacts]).reshape(-1, 2),
-        np.array([each.force for each in contacts]),
+        np.array([[each.across, each.s] for each in contacts]).reshape(-1, 2),
+        np.array([math.nan if each.force is None else each.force for each in contacts]),
     )
     if len(reports) < 8:
         return None, readings
-    ordered = [reports[t] for t in sorted(reports)]
-    plans = [each.plan for each in ordered]
-    plan: FloatArray | None = None if any(each is None for each in plans) else np.array(plans)
-    t, angle = np.array([each.t for each in ordered]), np.array([each.angle for each in ordered])
+    plans = [(each.rates, each.accelerations) for each in reports.values()]
+    plan: FloatArray | None = None if any(rates is None for rates, _ in plans) else np.array(plans)
+    t, angle = np.array(list(reports)), np.array([each.angles for each in reports.values()])
     return joint_path(t, angle, plan, log.rig.angle_noise), readings
 
 

@@ -46,11 +46,6 @@ class TwoPalms(TwoPalmsLogParser):
         )
         return Reconstructed(line, text, curves, line["reason"] or "")
 
-    def tick_count(self, log: EventLog) -> int:
-        from palmd.record.replay import tick_count
-
-        return tick_count(log)
-
     def estimate(self, log: EventLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
         from palmd import observer as observers
         from palmd.record.replay import replay, tick_fields

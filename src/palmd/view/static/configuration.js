@@ -27,10 +27,8 @@ export class Configuration {
       list.replaceChildren(...findings.map(({ file, line, column, text: what }) =>
         element("li", "fault", `${line === null ? file : `${file}:${line}:${column}`}: ${what}`)));
       const marked = new Set(findings.filter(({ file }) => file === path).map(({ line }) => line));
-      document.getElementById("config-text").replaceChildren(...text.replace(/\n$/, "").split("\n").map((content, i) => {
-        const row = element("li", marked.has(i + 1) ? "marked" : "", content);
-        return row;
-      }));
+      document.getElementById("config-text").replaceChildren(...text.replace(/\n$/, "").split("\n").map((content, i) =>
+        element("li", marked.has(i + 1) ? "marked" : "", content)));
     }, CHECKING_MS);
   }
 }

@@ -2,7 +2,7 @@
 
 import { magnification } from "./geometry.js";
 import { classOf } from "./knowledge.js";
-import { dash, line, place, ring } from "./paths.js";
+import { dash, disc, line, place, polygon, ring } from "./paths.js";
 import { colours } from "./theme.js";
 
 const RADIUS = 84; // CSS pixels, less in a small picture
@@ -43,7 +43,7 @@ export class Lens {
     const band = near.map((i) => place(points, i, BAND_SDS * sds[i]))
       .concat(near.toReversed().map((i) => place(points, i, -BAND_SDS * sds[i])));
     context.fillStyle = colours.band;
-    context.fill(path(band));
+    context.fill(polygon(band));
     context.strokeStyle = colours[`error${classOf(sds[nearest])}`];
     context.lineWidth = 2.4 * thin;
     context.stroke(ring(points));
@@ -61,18 +61,13 @@ export class Lens {
   /** Draws the rim and a line to the magnified point, and clips drawing to the lens. */
   #drawRim(context, [x, y], radius, seen, ratio) {
     const away = Math.hypot(seen[0] - x, seen[1] - y);
-    context.strokeStyle = context.fillStyle = colours.ink;
+    context.strokeStyle = colours.ink;
     context.lineWidth = 1.2 * ratio;
     if (away > radius) {
       line(context, [x + ((seen[0] - x) / away) * radius, y + ((seen[1] - y) / away) * radius], seen);
     }
-    context.beginPath();
-    context.arc(...seen, 2.5 * ratio, 0, 2 * Math.PI);
-    context.fill();
-    context.beginPath();
-    context.arc(x, y, radius, 0, 2 * Math.PI);
-    context.fillStyle = colours.panel;
-    context.fill();
+    disc(context, seen, 2.5 * ratio, colours.ink);
+    disc(context, [x, y], radius, colours.panel);
     context.stroke();
     context.clip();
   }
@@ -114,11 +109,4 @@ function pieceOf(points, middle, reach) {
   while (first < count / 2 && !far((middle + count - first) % count)) first += 1;
   while (last < count / 2 && !far((middle + last) % count)) last += 1;
   return Array.from({ length: first + last + 1 }, (_, i) => (middle + count - first + i) % count);
-}
-
-function path(points) {
-  const found = new Path2D();
-  for (const point of points) found.lineTo(...point);
-  found.closePath();
-  return found;
 }

@@ -32,12 +32,25 @@ export function dash(context, path, thin, colour = colours.truth) {
   context.stroke(path);
 }
 
-/** Draws a dot with a rim at a position in canvas pixels; `ratio` is the number of canvas pixels per CSS pixel. */
-export function mark(context, [x, y], colour, ratio) {
+/** A closed path through these positions. */
+export function polygon(corners) {
+  const path = new Path2D();
+  for (const corner of corners) path.lineTo(...corner);
+  path.closePath();
+  return path;
+}
+
+/** Fills a circle, and leaves it as the context's path. */
+export function disc(context, [x, y], radius, colour) {
   context.beginPath();
-  context.arc(x, y, 5 * ratio, 0, 2 * Math.PI);
+  context.arc(x, y, radius, 0, 2 * Math.PI);
   context.fillStyle = colour;
   context.fill();
+}
+
+/** Draws a dot with a rim; `ratio` is one CSS pixel in the context's unit. */
+export function mark(context, place, colour, ratio) {
+  disc(context, place, 5 * ratio, colour);
   context.lineWidth = 1.8 * ratio;
   context.strokeStyle = colours.panel;
   context.stroke();

@@ -1,7 +1,7 @@
 // The picture of a pivoting grasp: the pad, the gripper above it, and the body that rotates about the pivot.
 
 import { MM, DEFAULT_PAD_MM, THICK_MM } from "./geometry.js";
-import { line } from "./paths.js";
+import { disc, line } from "./paths.js";
 import { palmsOf } from "./quantities.js";
 import { colours, ofPalm } from "./theme.js";
 
@@ -48,10 +48,7 @@ function drawGripper(scene, context, [x, y]) {
   context.lineWidth = scene.thin(5);
   line(context, [x, y + 3], [x, y + 60]);
   context.lineWidth = scene.thin(2.5);
-  context.beginPath();
-  context.arc(x, y, 3, 0, 2 * Math.PI);
-  context.fillStyle = colours.panel;
-  context.fill();
+  disc(context, [x, y], 3, colours.panel);
   context.stroke();
   scene.write("gripper", x + scene.thin(40), y + 12, colours.ink, 600);
 }

@@ -1,7 +1,7 @@
 // The recorded runs: list, search, report, download, delete.
 
 import { onSecondPress } from "./guard.js";
-import { element, number, set } from "./text.js";
+import { element, number, row, set } from "./text.js";
 
 const REPORT_MS = 180000;
 
@@ -43,15 +43,15 @@ export class Runs {
   }
 
   #row(run) {
-    const row = document.createElement("tr");
     const name = run.run.replace(/\.mcap$/, "");
     const troubles = [...(run.lost ? [`lost ${run.lost}×`] : []), ...run.faults, ...run.notes.map((note) => `“${note}”`), run.problem].filter(Boolean);
     const cells = [
       [number(run.seconds, 0, "s"), "number"], [run.plans.join(", "), ""], [number(run.touched * 100, 0, "%"), "number"],
       [number(run.sd_m * 1e6, 0, "µm"), "number"], [number(run.size_bytes / 1e6, 1, "MB"), "number"], [troubles.join(", "), "troubles"],
     ];
-    row.append(Object.assign(element("th", "", name), { scope: "row" }), ...cells.map(([text, kind]) => element("td", kind, text)), this.#actions(run, name));
-    return row;
+    const line = row(name);
+    line.append(...cells.map(([text, kind]) => element("td", kind, text)), this.#actions(run, name));
+    return line;
   }
 
   #actions(run, name) {

@@ -2,7 +2,7 @@
 
 import { centreFromRadii, chords, MM, onPalm, outline, posture, DEFAULT_PAD_MM, THICK_MM } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
-import { dash, line, place, ring, write } from "./paths.js";
+import { arrow, dash, disc, line, mark, place, ring, write } from "./paths.js";
 import { palmsOf } from "./quantities.js";
 import { inSpace } from "./surface.js";
 import { SYSTEMS } from "./systems.js";
@@ -238,15 +238,12 @@ export class Scene {
     context.save();
     context.translate(x * MM, y * MM);
     context.lineWidth = this.thin(1.5);
-    context.strokeStyle = context.fillStyle = colours.ink;
+    context.strokeStyle = colours.ink;
     if (Number.isFinite(psi)) {
       context.rotate(psi);
       line(context, [size, 0], [size * 2.6, 0]); // the object's x axis
     }
-    context.beginPath();
-    context.arc(0, 0, size, 0, 2 * Math.PI);
-    context.fillStyle = colours.panel;
-    context.fill();
+    disc(context, [0, 0], size, colours.panel);
     context.stroke();
     context.fillStyle = colours.ink;
     for (const quarter of [0, Math.PI]) {
@@ -297,32 +294,18 @@ export class Scene {
   }
 
   #drawHinge() {
-    const context = this.#context;
-    context.beginPath();
-    context.arc(0, -THICK_MM / 2, THICK_MM * 0.8, 0, 2 * Math.PI);
-    context.fillStyle = colours.line;
-    context.fill();
-    context.beginPath();
-    context.arc(0, -THICK_MM / 2, THICK_MM * 0.3, 0, 2 * Math.PI);
-    context.fillStyle = colours.panel;
-    context.fill();
+    disc(this.#context, [0, -THICK_MM / 2], THICK_MM * 0.8, colours.line);
+    disc(this.#context, [0, -THICK_MM / 2], THICK_MM * 0.3, colours.panel);
   }
 
   /** Draws the contact with a palm and its force; returns its position (mm), null for none. */
   drawContact({ number }, palm, estimate, contact) {
-    const context = this.#context;
     const s = estimate.valid ? estimate[`s${number}_m`] : contact[`s${number}_m`];
     if (!contact[`touch${number}`] || !Number.isFinite(s)) return null;
     const { point: place, normal } = onPalm(palm, s);
     const point = [place[0] * MM, place[1] * MM];
     this.#drawForce(estimate[`f${number}_n`], point, normal, ofPalm(number));
-    context.beginPath();
-    context.arc(...point, this.thin(5), 0, 2 * Math.PI);
-    context.fillStyle = ofPalm(number);
-    context.fill();
-    context.lineWidth = this.thin(1.8);
-    context.strokeStyle = colours.panel;
-    context.stroke();
+    mark(this.#context, point, ofPalm(number), this.thin(1));
     return point;
   }
 
@@ -336,20 +319,8 @@ export class Scene {
 
   #drawForce(force, point, normal, colour) {
     if (!(force > 0)) return;
-    const context = this.#context;
     const length = Math.min(force * FORCE_MM_PER_N, 30);
-    const head = Math.min(this.thin(10), length * 0.6);
-    const tip = [point[0] + normal[0] * length, point[1] + normal[1] * length];
-    const neck = [tip[0] - normal[0] * head, tip[1] - normal[1] * head];
-    const wide = [-normal[1] * head * 0.42, normal[0] * head * 0.42];
-    context.strokeStyle = context.fillStyle = colour;
-    context.lineWidth = this.thin(3);
-    line(context, point, neck);
-    context.beginPath();
-    context.moveTo(...tip);
-    context.lineTo(neck[0] + wide[0], neck[1] + wide[1]);
-    context.lineTo(neck[0] - wide[0], neck[1] - wide[1]);
-    context.fill();
+    arrow(this.#context, point, [point[0] + normal[0] * length, point[1] + normal[1] * length], colour, this.thin(1));
     const below = -THICK_MM - this.thin(13);
     const beside = this.thin(14) * Math.sign(-normal[0]);
     this.write(`${force.toFixed(2)} N`, point[0] + normal[0] * below + beside, point[1] + normal[1] * below, colour, 600);

@@ -1,7 +1,7 @@
 // Three palms in space and the body between them, in a view that can be rotated by pointer or arrow keys.
 
 import { classOf } from "./knowledge.js";
-import { arrow, line, mark, write } from "./paths.js";
+import { arrow, line, mark, polygon, write } from "./paths.js";
 import { cross, dot, plus, rotation, scaled, surfaceOf, turned, unit } from "./surface.js";
 import { colours, ofPalm } from "./theme.js";
 
@@ -102,7 +102,7 @@ function padOf(palm, info, number) {
 
 function drawPad({ context, project, ratio }, { number, centre, half, a, b }, filled) {
   const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([u, v]) => project(plus(plus(centre, a, u * half), b, v * half)));
-  const path = ring(corners);
+  const path = polygon(corners);
   context.fillStyle = context.strokeStyle = ofPalm(number);
   context.globalAlpha = filled;
   context.fill(path);
@@ -152,7 +152,7 @@ function drawGhost({ context, project, ratio }, object, turn, com) {
   context.strokeStyle = colours.truth;
   context.lineWidth = 1.5 * ratio;
   context.setLineDash([6 * ratio, 4 * ratio]);
-  context.stroke(ring(hull(points.map((point) => project(plus(turned(turn, point), com))))));
+  context.stroke(polygon(hull(points.map((point) => project(plus(turned(turn, point), com))))));
   context.restore();
 }
 
@@ -175,13 +175,6 @@ function drawScale({ context, ratio, scale }, height) {
   context.lineWidth = 1.5 * ratio;
   line(context, [x, y], [x + 10e-3 * scale, y]);
   write(context, "10 mm", [x + 5e-3 * scale, y - 10 * ratio], colours.ink, ratio, 400);
-}
-
-function ring(corners) {
-  const path = new Path2D();
-  for (const corner of corners) path.lineTo(...corner);
-  path.closePath();
-  return path;
 }
 
 function distance([x, y], [u, v]) {
