@@ -22,8 +22,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import ObjectInformation, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import contact_normals
-from palmd.observer.pad_map import with_shared_errors
-from palmd.observer.search import GRADUATED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
+from palmd.observer.search import LIVE_BUDGET, SPACING_S, Minima, Search, explained
 from palmd.observer.smoother import Budget, Posterior
 
 PATIENCE = 6
@@ -52,6 +51,11 @@ class Solution:
     def lasts(self) -> float:
         """Duration of the explained readings (s)."""
         return self.end - self.search.segment.start
+
+    def with_correlated_errors(self) -> Solution:
+        """As `Search.with_correlated_errors`; without rivals."""
+        record, fit = self.search.with_correlated_errors(self.finding.record, self.finding.fits[0])
+        return Solution(self.search, Minima(record, (fit,), self.finding.work))
 
     @cached_property
     def posterior(self) -> Posterior | None:
@@ -96,7 +100,7 @@ class FixedLagSmoother:
         self._most_forces = solution.search.segment.most_forces
         finding = solution.finding
         record = solution.search.smoother(finding.record).with_predicted_forces(finding.fits[0].guess)
-        solution = _with_correlated_errors(replace(solution, finding=replace(finding, record=record)))
+        solution = replace(solution, finding=replace(finding, record=record)).with_correlated_errors()
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
         self.psi = math.nan
@@ -191,7 +195,7 @@ class FixedLagSmoother:
         # resting palms are no reason to reject a solution here
         if finding is None or not finding.fits[0].settled or not search.explained(finding.fits[0], finding.record):
             return None
-        solution = _with_correlated_errors(Solution(search, finding))
+        solution = Solution(search, finding).with_correlated_errors()
         return solution if explained(solution.finding.fits[0], solution.finding.record) else None
 
     def _search(self, segment: DataSegment, guess: Guess, budget: Budget) -> Search:
@@ -221,16 +225,3 @@ class FixedLagSmoother:
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
         self._closed = self._closed | marks_of(contact_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))
-
-
-def _with_correlated_errors(solution: Solution) -> Solution:
-    """The same readings with long-correlated errors in the noise model, as covariances need them, fitted again.
-
-    Errors of the friction law and the pads' position errors are the same for many readings in a row. The fit that
-    decides whether the readings are explained must not include them: nearly every fit would pass.
-    """
-    search, best = solution.search, solution.finding.fits[0]
-    record = search.smoother(solution.finding.record).with_discrepancy(best.guess)
-    record = with_shared_errors(record, search.rig)
-    fit = search.smoother(record).fit(best.guess, best.noise, GRADUATED_ITERATIONS)
-    return Solution(search, Minima(record, (fit,), solution.finding.work))

@@ -174,10 +174,11 @@ class Initialiser:
     def _resumed(self, search: Search, budget: Budget) -> Minima | None:
         """Extend the hypotheses to the last readings, with half the budget at most if a trial may come next."""
         if not self._allows_trial:
-            return search.resumed(self._guesses)
+            return search.deepened(search.resumed(self._guesses))
         half = Budget(min(budget.left, LIVE_BUDGET / 2))
         budget.left -= half.left
-        finding = search.with_budget(half).resumed(self._guesses)
+        search_half = search.with_budget(half)
+        finding = search_half.deepened(search_half.resumed(self._guesses))
         budget.left += half.left
         return finding
 
@@ -282,7 +283,7 @@ class Initialiser:
             search, finding = solution.search, solution.finding
             if rejection_reason(finding.fits[0], finding):
                 break
-            self._belief = solution.belief
+            self._belief = solution.with_correlated_errors().belief
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
             revised = search.with_belief(self._belief)

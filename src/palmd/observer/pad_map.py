@@ -74,7 +74,7 @@ def with_shared_errors(record: Record, rig: RigDescription) -> Record:
     rig: by which the record was laid out; its maps are noise (`map_as_noise`). Almost every fit explains a record with
     so much noise, so it cannot be used to test a fit.
     """
-    variances = np.array([(SHARED_READINGS - 1.0) * pad.map_noise**2 for pad in rig.pads])
+    variances = np.array([SHARED_READINGS * pad.map_sd**2 - pad.map_noise**2 for pad in rig.pads])
     shared = variances[record.contact_pad.astype(np.intp) - 1]
     return replace(record, contact_variance=record.contact_variance + shared)
 

@@ -471,7 +471,9 @@ def _refitted(search: Search, finding: Minima, found: Fit) -> _Part:
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
-        before, belief = belief, belief.after(smoother.posterior_if_any(fit))
+        criticised = search.with_knowledge(prior)
+        honest_record, honest_fit = criticised.with_correlated_errors(record, fit)
+        before, belief = belief, belief.after(criticised.smoother(honest_record).posterior_if_any(honest_fit))
         if np.array_equal(before.sd, belief.sd):
             break
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))

@@ -26,6 +26,7 @@ from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
+from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import NO_FORCES, Record, lay_out
@@ -212,7 +213,7 @@ class Search:
             self.segment.events(), self.rig, begin, attempt.seconds, seed, attempt.starts, attempt.asymmetry
         )
         guesses = [start.guess(record.t) for start in starts]
-        return self._grown_from(record, guesses, attempt.work) if starts else None
+        return self.deepened(self._grown_from(record, guesses, attempt.work)) if starts else None
 
     def _extended_backwards(self, attempt: Attempt, seed: int) -> Minima | None:
         """As `blind` without the first seconds, to which the result is extended backwards."""
@@ -263,6 +264,20 @@ class Search:
         if found is None:
             self.record = as_described
         return found
+
+    def deepened(self, found: Minima | None) -> Minima | None:
+        """`found` with the better minima along its valleys, where it explains the record to its end.
+
+        Friction makes the cost a narrow, curved valley in which an iteration may stop early. With more process noise at
+        first the valley is wide and nearly straight.
+        """
+        if found is None or not self.covers(found):
+            return found
+        deeper = self._loosened(found.record, [fit.guess for fit in found.fits])
+        fits = tuple(fit for fit in deeper.fits if fit.settled and self.explained(fit, deeper.record))
+        if not fits:
+            return found
+        return self.merged(found, replace(deeper, fits=fits))
 
     def with_friction_discrepancy(self, found: Minima) -> Minima:
         """`found`, which has not converged, with the friction law's discrepancy along its own motion as process noise.
@@ -396,6 +411,15 @@ class Search:
     def minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
         """As `minima`, of this search."""
         return minima(self.smoother, record, guesses, self.noise, rejections)
+
+    def with_correlated_errors(self, record: Record, fit: Fit) -> tuple[Record, Fit]:
+        """The record with long-correlated errors in the noise model, as covariances need them, and its fit from `fit`.
+
+        Errors of the friction law and the pads' position errors are the same for many readings in a row. The fit that
+        decides whether the readings are explained must not include them: nearly every fit would pass.
+        """
+        record = with_shared_errors(self.smoother(record).with_discrepancy(fit.guess), self.rig)
+        return record, self.smoother(record).fit(fit.guess, fit.noise, GRADUATED_ITERATIONS)
 
     def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
         """`finding`, or a motion with a palm or at rest where that is likelier; and whether the readings decide.
