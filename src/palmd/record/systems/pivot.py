@@ -39,9 +39,10 @@ class PivotLog:
     notes: tuple[str, ...] = ()
 
 
-class PivotLogParser:
-    """Parser for logs of the pivoting grasp."""
+class Pivot:
+    """See `palmd.record.systems.System`."""
 
+    name = "pivot"
     kinds = ("pad", "arm")
 
     def rig(self, line: Line) -> PivotRig:
@@ -92,12 +93,6 @@ class PivotLogParser:
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
         """Build the log from rig, events and notes."""
         return PivotLog(rig, events, notes)
-
-
-class Pivot(PivotLogParser):
-    """See `palmd.record.systems.System`."""
-
-    name = "pivot"
 
     def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
         """The log with the rig's standard deviations replaced."""
