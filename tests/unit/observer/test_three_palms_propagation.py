@@ -98,23 +98,21 @@ def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
     nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
     motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
     motion = motion.moved(nodes, random.normal(0.0, 1e-4, len(motion.p)))
-    for nodes_alone in (False, True):
-        compiled, twin = (
-            make(record, task.noise, task.rig, ORDER).at(motion, nodes_alone=nodes_alone)
-            for make in (CompiledEquations, PlainEquations)
-        )
-        for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
-            one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max(initial=0.0))
-        np.testing.assert_allclose(compiled.residual, twin.residual, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(compiled.force, twin.force, rtol=1e-9)
-        assert compiled.squares == pytest.approx(twin.squares, rel=1e-9)
+    compiled, twin = (
+        make(record, task.noise, task.rig, ORDER).at(motion) for make in (CompiledEquations, PlainEquations)
+    )
+    for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
+        one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max(initial=0.0))
+    np.testing.assert_allclose(compiled.residual, twin.residual, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(compiled.force, twin.force, rtol=1e-9)
+    assert compiled.squares == pytest.approx(twin.squares, rel=1e-9)
 
 
 def test_a_record_without_readings_has_equations(task, right):
     none = replace(task.full_record.first(4), readings=task.readings.within(-2.0, -1.0))
     empty = np.zeros(0, dtype=np.int64)
-    none = replace(none, interval=empty, share=np.zeros(0), slot=empty, geometry=np.zeros((0, 24)))
+    none = replace(none, interval=empty, share=np.zeros(0), geometry=np.zeros((0, 24)))
     motion = BodyMotion(right.motion.R[:5], right.motion.omega[:5], right.motion.p)
     given = none, task.noise, task.rig, ORDER
     squares = CompiledEquations(*given).at(motion).squares
@@ -125,8 +123,8 @@ def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
     for intervals in (1, 37, len(task.full_record.middle_palms)):
         own = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
         some = task.full_record.first(intervals)
-        assert (some.start, some.spacing, some.numbers, some.slots) == (own.start, own.spacing, own.numbers, own.slots)
-        for name in ("node_palms", "middle_palms", "interval", "share", "slot", "geometry"):
+        assert (some.start, some.spacing, some.numbers) == (own.start, own.spacing, own.numbers)
+        for name in ("node_palms", "middle_palms", "interval", "share", "geometry"):
             np.testing.assert_array_equal(getattr(some, name), getattr(own, name))
         for name in ("t", "pad", "value", "force"):
             np.testing.assert_array_equal(getattr(some.readings, name), getattr(own.readings, name))
@@ -574,7 +572,7 @@ def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
 
 def test_a_rival_that_ends_early_is_refused(task):
     now = started(task)
-    told = reconstruction_of(task, [now], 0.0)
+    told = reconstruction_of(task, [now])
     assert not told.converged
     assert "fails after 1.3 s" in told.reason
 
