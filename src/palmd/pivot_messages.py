@@ -40,13 +40,12 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm/pivot_events`: fields of events, and events of fields."""
 
 
-def answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
-    """Answer from values whose matrix is flat."""
+def _answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
     width = len(others["p"])
     return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
-_ANSWER = AnswerCodec(PIVOT_ANSWER, answer_from_flat)
+_ANSWER = AnswerCodec(PIVOT_ANSWER, _answer_from_flat)
 answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
 """`palm/pivot_answer`: fields of an answer, and the answer of fields."""
 

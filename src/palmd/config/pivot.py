@@ -12,7 +12,7 @@ from palmd.config.arms import AdeptConfig
 from palmd.config.fields import NotNegative, Pair, Plausible, Positive, Strict
 from palmd.config.guards import AxisFollowingError
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
-from palmd.config.plans import AnyPlanSpec, Duration, ExploreSpec, HoldSpec, JointValues, one_key_of
+from palmd.config.plans import AnyPlanSpec, ExploreSpec, one_key_of
 from palmd.config.two_palms import DrawnImperfections
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.system.pivot import SYSTEM, PivotRig
@@ -152,7 +152,7 @@ def pivot_rig(config: PivotConfig) -> PivotRig:
 # ------------------------------------------------------------------------------------------------------ plans
 
 
-class PivotTarget(JointValues):
+class PivotTarget(Strict):
     """Target of the pivot; an omitted coordinate stays unchanged."""
 
     x_mm: FiniteFloat | None = None
@@ -166,7 +166,14 @@ class PivotMoveSpec(Strict):
 
     move: PivotTarget
     """Target."""
-    duration_s: Duration
+    duration_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
+    """Duration."""
+
+
+class PivotHoldSpec(Strict):
+    """Stand still."""
+
+    hold_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
     """Duration."""
 
 
@@ -176,7 +183,7 @@ class PivotExploreSpec(ExploreSpec):
 
 PivotSegmentSpec = Annotated[
     Annotated[PivotMoveSpec, Tag("<move>")]
-    | Annotated[HoldSpec, Tag("<hold_s>")]
+    | Annotated[PivotHoldSpec, Tag("<hold_s>")]
     | Annotated[PivotExploreSpec, Tag("<explore>")],
     one_key_of(("move", "hold_s", "explore")),
 ]

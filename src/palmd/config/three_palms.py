@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
@@ -12,16 +12,7 @@ from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
 from palmd.config.guards import ForceLimits, JointFollowingError, PadForces, known_pads
 from palmd.config.pads import AnyPads, VersaPadConfig
-from palmd.config.plans import (
-    AnyPlanSpec,
-    Duration,
-    ExploreGoal,
-    ExploreSpec,
-    HoldSpec,
-    JointValues,
-    SwingFrequency,
-    one_key_of,
-)
+from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.system.three_palms import MECHANISM, PALMS, RELATIONS, SYSTEM, PadPlane, ThreePalmsRig
 
@@ -182,6 +173,17 @@ class TiltMoveSpec(Strict):
     """Duration."""
 
 
+class TiltHoldSpec(Strict):
+    """Stand still."""
+
+    hold_s: Duration
+    """Duration."""
+
+
+def _for_all_joints(value: Any) -> Any:
+    return value if isinstance(value, list) else [value] * 3
+
+
 class TiltSineSpec(Strict):
     """Swing about the start pose, with a smooth onset and decay."""
 
@@ -195,7 +197,7 @@ class TiltSineSpec(Strict):
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
         """Frequency of each joint."""
-        return tuple(self.frequency_hz if isinstance(self.frequency_hz, list) else [self.frequency_hz] * 3)
+        return tuple(_for_all_joints(self.frequency_hz))
 
 
 class TiltGoal(ExploreGoal):
@@ -218,7 +220,7 @@ class TiltExploreSpec(ExploreSpec):
 
 TiltSegmentSpec = Annotated[
     Annotated[TiltMoveSpec, Tag("<move>")]
-    | Annotated[HoldSpec, Tag("<hold_s>")]
+    | Annotated[TiltHoldSpec, Tag("<hold_s>")]
     | Annotated[TiltSineSpec, Tag("<sine>")]
     | Annotated[TiltExploreSpec, Tag("<explore>")],
     one_key_of(("move", "hold_s", "sine", "explore")),

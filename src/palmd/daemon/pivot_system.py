@@ -16,8 +16,8 @@ from palmd.daemon.exploring import ExplorationControl
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import pivot_contradiction
+from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
-from palmd.daemon.smoothing import SmootherOfOneProcess
 from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
@@ -31,7 +31,6 @@ from palmd.pivot_quantities import PIVOT_ANSWER, PIVOT_SHAPE
 from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
-SMOOTHER = "palmd.daemon.pivot_smoothing"
 OUTSIDE_M = 2e-3
 
 
@@ -87,13 +86,11 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         if config.rig.vertical == "float":
             self.free = (AXES.index("z"),)  # commanded is the slide's stop
 
-    def observer(
-        self, outlines: Sequence[Outline], stack: ExitStack
-    ) -> tuple[PivotObserver, SmootherOfOneProcess[PivotAnswer]]:
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
         """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = pivot_rig(self._config)
-        smoother = SmootherOfOneProcess(SMOOTHER, rig, PivotAnswer, messages.answer_from_flat)
+        smoother = PivotSmootherProcess(rig)
         stack.callback(smoother.close)
         return pivot_observer(rig, smoother), smoother
 
@@ -122,6 +119,13 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/pivot_shape`."""
         return PIVOT_SHAPE, messages.shape_fields(shape)
+
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """Joint positions and their limits as text, in millimetres."""
+        return ", ".join(
+            f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} mm and {high * 1e3:g} mm"
+            for axis, at, (low, high) in zip(AXES, angles, limits, strict=True)
+        )
 
 
 _NO_CONTACT = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})

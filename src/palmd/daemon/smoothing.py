@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
@@ -103,44 +103,15 @@ class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
         self._hand_over(t, events, session.object_count, session.start_time, hint)
 
 
-class SmootherOfOneProcess(BatchingProcess[Answer]):
-    """Process of a smoother of one object; safe inside the loop."""
-
-    def __init__(self, module: str, rig: Any, kind: type[Answer], construct: Callable[..., Answer]) -> None:
-        """Start a process that sends answers of this `kind` by `flat`; raises OSError if that fails.
-
-        `construct` constructs an answer from its attributes, with flattened arrays.
-        """
-        names = tuple(each.name for each in fields(kind))  # type: ignore[arg-type]  # a dataclass
-
-        def answer_of(*values: Any) -> Answer:
-            arrays = (np.frombuffer(value) if isinstance(value, bytes) else value for value in values)
-            return construct(**dict(zip(names, arrays, strict=True)))
-
-        super().__init__(module, asdict(rig), answer_of)
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Send the tick's events."""
-        self._hand_over(t, events)
-
-
-def flat(answer: Any) -> list[Any] | None:
-    """The attributes of a dataclass as a list for a message, arrays as bytes; None for None."""
-    if answer is None:
-        return None
-    values = (getattr(answer, each.name) for each in fields(answer))
-    return [value.tobytes() if isinstance(value, np.ndarray) else value for value in values]
-
-
 def packed(event: Event) -> list[Any]:
     """An event as a list for a message to a process."""
     kind, get_fields = _PACKED[type(event)]
     return [kind, *get_fields(event)]
 
 
-def unpacked(values: list[Any]) -> Event:
+def unpacked(fields: list[Any]) -> Event:
     """The event that `packed` was given."""
-    event: Event = _KINDS[values[0]](*values[1:])
+    event: Event = _KINDS[fields[0]](*fields[1:])
     return event
 
 
@@ -202,10 +173,10 @@ def serve(address: str, rig: str) -> None:
 _arrays_of = attrgetter("touched", "x", "P", "rig", "rig_sd", "spread", "contradicted")
 
 
-def _unpacked_answer(t: float, *values: Any) -> Improvement | Unexplained:
-    if not values:
+def _unpacked_answer(t: float, *fields: Any) -> Improvement | Unexplained:
+    if not fields:
         return Unexplained(t)
-    frame, established, touched, *arrays = values
+    frame, established, touched, *arrays = fields
     x, covariance, rig, rig_sd, spread, against = map(np.frombuffer, arrays)
     square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
     marks = np.frombuffer(touched, dtype=np.bool_)

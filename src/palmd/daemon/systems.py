@@ -152,13 +152,9 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         """The part of the estimate that the status contains."""
         return self.codec.estimate_summary(estimate)
 
+    @abstractmethod
     def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """The joints' values and limits, in words."""
-        unit, scale = self.guards.scale.unit, self.guards.scale.scale
-        return ", ".join(
-            f"{joint} is {at * scale:.1f}{unit}, its limits are {low * scale:g}{unit} and {high * scale:g}{unit}"
-            for joint, at, (low, high) in zip(self.guards.scale.names, angles, limits, strict=True)
-        )
 
 
 AnySystem = LiveSystem[Any, Any]

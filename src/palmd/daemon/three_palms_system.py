@@ -13,8 +13,8 @@ from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import no_contradiction
-from palmd.daemon.smoothing import SmootherOfOneProcess
 from palmd.daemon.systems import LiveSystem
+from palmd.daemon.three_palms_smoothing import BodySmootherProcess
 from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, MessageCodec
@@ -26,7 +26,6 @@ from palmd.quantities import Topic
 from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
-SMOOTHER = "palmd.daemon.three_palms_smoothing"
 DECIDER = "palmd.daemon.body_decider:BodyDecider"
 OUTSIDE_RAD = math.radians(1.0)
 _PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
@@ -78,13 +77,11 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         )
         self._latest: BodyEstimate | None = None
 
-    def observer(
-        self, outlines: Sequence[Outline], stack: ExitStack
-    ) -> tuple[BodyObserver, SmootherOfOneProcess[BodyAnswer]]:
+    def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, BodySmootherProcess]:
         """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = three_palms_rig(self._config)
-        smoother = SmootherOfOneProcess(SMOOTHER, rig, BodyAnswer, messages.answer_from_flat)
+        smoother = BodySmootherProcess(rig)
         stack.callback(smoother.close)
         return BodyObserver(rig, smoother), smoother
 
@@ -125,3 +122,10 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         latest = self._latest
         count, valid = (0, False) if latest is None else (latest.object_count, latest.valid)
         return PALM3_SHAPE, messages.shape_fields(shape, count, valid)
+
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """Joint angles and their limits as text, in degrees."""
+        return ", ".join(
+            f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g}° and {math.degrees(high):g}°"
+            for joint, at, (low, high) in zip(JOINTS, angles, limits, strict=True)
+        )

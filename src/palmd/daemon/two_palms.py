@@ -126,9 +126,13 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         return SHAPE, shape_fields(shape)
 
     def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """In degrees, with the sum of the joint angles."""
-        phi12, top = math.degrees(sum(angles)), math.degrees(self.limits.top)
-        return f"{super().describe_joints(angles, limits)}, phi12 is {phi12:.1f}°, it must stay below {top:.1f}°"
+        """In degrees."""
+        deg = math.degrees
+        each = [
+            f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
+            for joint, angle, (low, high) in zip(JOINTS, angles, limits, strict=True)
+        ]
+        return ", ".join([*each, f"phi12 is {deg(sum(angles)):.1f}°, it must stay below {deg(self.limits.top):.1f}°"])
 
 
 def _guard_limits(config: Config, poses: Poses) -> GuardLimits:

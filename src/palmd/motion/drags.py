@@ -73,6 +73,7 @@ class Drags:
     def __init__(self, limits: PivotLimits, goal: ExploreGoal) -> None:
         self._limits, self._goal = limits, goal
         self.phase: Phase = "seek"
+        self.turned_back: dict[str, int] = {}  # reason → how often it turned back
         self.lifted = 0  # times that the body left the pad without a lift
         self._side = 0.0  # sign of e: the side of the dead centre in contact
         self._ends: set[tuple[float, str]] = set()  # ends of branches that were reached
@@ -116,7 +117,11 @@ class Drags:
             torque = sensed.force * abs(sensed.e)
             self._torque, self._least_torque = max(self._torque, torque), min(self._least_torque, torque)
         if self.phase == "down" and not resting and (why := self._warning(sensed)):
-            return self._turn_back(why, "halt")
+            self._count_turn_back(why)
+            self._retreat = True
+            self.phase = "up"
+            self._ends.add((self._side, "low"))
+            return DragStep("halt", reason=f"turns back: {why}")
         self._t_rest = min(self._t_rest, sensed.t) if resting else math.inf
         if not resting:
             lifted = self.phase == "lift" and not sensed.touching and sensed.z > self._clear
@@ -218,15 +223,25 @@ class Drags:
 
     def _down(self, sensed: Touching, here: Angles) -> DragStep:
         if why := self._warning(sensed):
-            return self._turn_back(why)
+            self._count_turn_back(why)
+            self._ends.add((self._side, "low"))
+            self.phase, self._retreat = "up", True
+            return DragStep("wait", reason=f"turns back: {why}")
         self._learn(sensed)
         lower = self._stride(sensed, -1.0)
         hard = self._predicted_force(sensed, -lower) > PREDICTED_SHARE * self._limits.force
         if hard or self._remaining_force(sensed, -lower) < LEAST_FORCE_N:
-            return self._turn_back(_HARD if hard else _LIGHT)
+            why = _HARD if hard else _LIGHT
+            self._count_turn_back(why)
+            self._ends.add((self._side, "low"))
+            self.phase, self._retreat = "up", True
+            return DragStep("wait", reason=f"turns back: {why}")
         end = (here[0] - self._side * TRAIL * sensed.z * lower / abs(sensed.e), here[1] - lower)
         if why := self._blocked(end, sensed.e):
-            return self._turn_back(why, retreat=False)
+            self._count_turn_back(why)
+            self._ends.add((self._side, "low"))
+            self.phase = "up"
+            return DragStep("wait", reason=f"turns back: {why}")
         return self._move_to(here, end, DOWN_M_S)
 
     def _up(self, sensed: Touching, here: Angles) -> DragStep:
@@ -363,11 +378,8 @@ class Drags:
         inside = PAD_END_M < end[0] + e < self._limits.pad_length - PAD_END_M
         return "" if x0 <= end[0] <= x1 and inside else "the pad ends here"
 
-    def _turn_back(self, why: str, kind: Literal["halt", "wait"] = "wait", *, retreat: bool = True) -> DragStep:
-        """The low end of this side is reached; `retreat`: first go straight up."""
-        self.phase, self._retreat = "up", self._retreat or retreat
-        self._ends.add((self._side, "low"))
-        return DragStep(kind, reason=f"turns back: {why}")
+    def _count_turn_back(self, why: str) -> None:
+        self.turned_back[why] = self.turned_back.get(why, 0) + 1
 
     def _enter(self, phase: Phase, reason: str) -> DragStep:
         self.phase = phase

@@ -6,12 +6,21 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from palmd.config.pivot import PivotConfig, PivotLimitsConfig, PivotMoveSpec, PivotPlanSpec
+from palmd.config.pivot import (
+    PivotConfig,
+    PivotExploreSpec,
+    PivotHoldSpec,
+    PivotLimitsConfig,
+    PivotMoveSpec,
+    PivotPlanSpec,
+    PivotTarget,
+)
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
 from palmd.motion.joint_limits import JointLimits
-from palmd.motion.joint_plan import compile_joint_plan, target_of
-from palmd.motion.limits import MotionLimits
-from palmd.motion.plan import PlanForm, Trajectory
-from palmd.motion.segments import Angles, MotionSegment, Move
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move
 from palmd.system.pivot import AXES, SYSTEM
 
 
@@ -65,15 +74,35 @@ def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles |
     A move goes up before it goes along, and along before it goes down: a body that is raised straight trails behind its
     friction, and one that is dragged sideways might wedge.
     """
+    pose_now = start if start is not None else pivot_home(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(pose_now), PalmMotion.at_rest(pose_now), math.inf).angles
+    violations: list[tuple[Loc, str]] = []
+    segments: list[MotionSegment] = []
+    labels: list[str] = []
+    for index, each in enumerate(spec.segments):
+        count = len(segments)
+        if isinstance(each, PivotExploreSpec):
+            if index != len(spec.segments) - 1:
+                text = "an exploration must be the last segment: its end is not known beforehand"
+                violations.append((("segments", index), text))
+            segments.append(Exploration(pose, each.explore))
+        elif isinstance(each, PivotHoldSpec):
+            segments.append(Hold(pose, each.hold_s))
+        else:
+            end = _target(each.move, pose)
+            segments += _legs(pose, end, each.duration_s)
+            pose = end
+        labels += [_label(each)] * (len(segments) - count)
+        for segment in segments[count:]:
+            extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
+            violations += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+    if violations:
+        raise PlanError(list(dict.fromkeys(violations)))
+    whole = Round.of(segments)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, tuple(labels), (whole,), None)
 
-    def segments_of(each: PivotMoveSpec, pose: Angles) -> tuple[list[MotionSegment], Angles]:
-        end = target_of(each.move, pose, lambda mm: mm * 1e-3)
-        return _legs(pose, end, each.duration_s), end
 
-    return compile_joint_plan(spec, limits, pivot_home(limits) if start is None else start, segments_of)
-
-
-def _legs(start: Angles, end: Angles, duration: float) -> list[MotionSegment]:
+def _legs(start: Angles, end: Angles, duration: float) -> list[Move]:
     """Legs up and along, or along and down; `duration` is shared in proportion to length; empty legs are left out."""
     corner = (start[0], end[1]) if end[1] > start[1] else (end[0], start[1])
     lengths = [max(abs(a - b) for a, b in zip(*leg, strict=True)) for leg in ((start, corner), (corner, end))]
@@ -81,6 +110,15 @@ def _legs(start: Angles, end: Angles, duration: float) -> list[MotionSegment]:
         return [Move(start, end, duration)]
     each = zip(((start, corner), (corner, end)), lengths, strict=True)
     return [Move(a, b, duration * length / sum(lengths)) for (a, b), length in each if length]
+
+
+def _target(place: PivotTarget, pose: Angles) -> Angles:
+    target = (place.x_mm, place.z_mm)
+    return tuple(here if mm is None else mm * 1e-3 for mm, here in zip(target, pose, strict=True))
+
+
+def _label(spec: PivotMoveSpec | PivotHoldSpec | PivotExploreSpec) -> str:
+    return next(iter(type(spec).model_fields))
 
 
 PLANS = PlanForm(PivotPlanSpec, PivotLimitsConfig, PivotLimits.of, PivotLimits.over, compile_pivot_plan)

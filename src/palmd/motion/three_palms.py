@@ -9,15 +9,18 @@ from typing import ClassVar
 from palmd.config.three_palms import (
     ThreePalmsConfig,
     ThreePalmsLimitsConfig,
+    TiltAngles,
+    TiltExploreSpec,
+    TiltHoldSpec,
     TiltMoveSpec,
     TiltPlanSpec,
-    TiltSineSpec,
 )
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
 from palmd.motion.joint_limits import JointLimits
-from palmd.motion.joint_plan import compile_joint_plan, target_of
-from palmd.motion.limits import MotionLimits
-from palmd.motion.plan import PlanForm, Trajectory
-from palmd.motion.segments import Angles, MotionSegment, Move, Sine, growing_s
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move, Sine, growing_s
 from palmd.system.three_palms import JOINTS, SYSTEM
 
 
@@ -57,21 +60,43 @@ def middle_of(limits: MotionLimits) -> Angles:
 
 def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | None = None) -> Trajectory:
     """Compile a plan to a trajectory that begins at `start`; raises PlanError with all violations of the limits."""
-    return compile_joint_plan(spec, limits, middle_of(limits) if start is None else start, _segments_of)
+    pose_now = start if start is not None else middle_of(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(pose_now), PalmMotion.at_rest(pose_now), math.inf).angles
+    violations: list[tuple[Loc, str]] = []
+    segments: list[MotionSegment] = []
+    for index, each in enumerate(spec.segments):
+        segment: MotionSegment
+        if isinstance(each, TiltMoveSpec):
+            end = _target(each.move, pose)
+            segment, pose = Move(pose, end, each.duration_s), end
+        elif isinstance(each, TiltHoldSpec):
+            segment = Hold(pose, each.hold_s)
+        elif isinstance(each, TiltExploreSpec):
+            segment = Exploration(pose, each.explore)
+            if index != len(spec.segments) - 1:
+                text = "an exploration must be the last segment: its end is not known beforehand"
+                violations.append((("segments", index), text))
+        else:
+            segment = Sine(
+                pose,
+                tuple(math.radians(degrees or 0.0) for degrees in each.sine.each()),
+                tuple(math.tau * hz for hz in each.frequencies_hz),
+                growing_s(each.frequencies_hz, each.duration_s),
+                each.duration_s,
+            )
+        extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
+        violations += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+        segments.append(segment)
+    if violations:
+        raise PlanError(list(dict.fromkeys(violations)))
+    whole = Round.of(segments)
+    labels = tuple(next(iter(type(each).model_fields)) for each in spec.segments)
+    return Trajectory(spec.name, begin, 0.0, whole.duration, labels, (whole,), None)
 
 
-def _segments_of(each: TiltMoveSpec | TiltSineSpec, pose: Angles) -> tuple[list[MotionSegment], Angles]:
-    if isinstance(each, TiltMoveSpec):
-        end = target_of(each.move, pose, math.radians)
-        return [Move(pose, end, each.duration_s)], end
-    sine = Sine(
-        pose,
-        tuple(math.radians(degrees or 0.0) for degrees in each.sine.each()),
-        tuple(math.tau * hz for hz in each.frequencies_hz),
-        growing_s(each.frequencies_hz, each.duration_s),
-        each.duration_s,
-    )
-    return [sine], pose
+def _target(angles: TiltAngles, pose: Angles) -> Angles:
+    targets = zip(angles.each(), pose, strict=True)
+    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in targets)
 
 
 PLANS = PlanForm(TiltPlanSpec, ThreePalmsLimitsConfig, TiltLimits.of, TiltLimits.over, compile_tilt_plan)

@@ -10,7 +10,7 @@ from palmd.events import PadSample
 from palmd.observer.pivot.incremental import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import reconstruct
-from palmd.record.systems.pivot import SYSTEM
+from palmd.record.systems.pivot import PivotLogParser
 from palmd.system.pivot import GripperSample
 from tools.studies.pivot_logs import simulate_pivot_log
 
@@ -21,8 +21,9 @@ TICK_S, PERIOD_S = 0.05, 4.0
 @pytest.fixture(scope="module")
 def good():
     lines, _ = simulate_pivot_log("tilt", SEED)
-    rig = SYSTEM.rig(lines[0]["rig"])
-    return rig, [event for line in lines[1:] for event in SYSTEM.events(line["t"], line, rig) if event is not None]
+    form = PivotLogParser()
+    rig = form.rig(lines[0]["rig"])
+    return rig, [event for line in lines[1:] for event in form.events(line["t"], line, rig) if event is not None]
 
 
 def arms(events, **changes):

@@ -12,7 +12,7 @@ from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.reconstruct import reconstruct
 from palmd.observer.pivot.record import TouchSpan, arm_motion, lay_out
 from palmd.observer.pivot.starts import outline_through, prior_of, rigid_starts, side_of, turned
-from palmd.record.systems.pivot import SYSTEM
+from palmd.record.systems.pivot import PivotLogParser
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample
 from tools.studies.pivot_logs import PivotImperfections, simulate_pivot_log
@@ -21,8 +21,9 @@ SEED = 3
 
 
 def events_of(lines):
-    rig = SYSTEM.rig(lines[0]["rig"])
-    found = [event for line in lines[1:] for event in SYSTEM.events(line["t"], line, rig)]
+    form = PivotLogParser()
+    rig = form.rig(lines[0]["rig"])
+    found = [event for line in lines[1:] for event in form.events(line["t"], line, rig)]
     return rig, [event for event in found if event is not None]
 
 

@@ -39,10 +39,9 @@ class PivotLog:
     notes: tuple[str, ...] = ()
 
 
-class Pivot:
-    """See `palmd.record.systems.System`."""
+class PivotLogParser:
+    """Parser for logs of the pivoting grasp."""
 
-    name = "pivot"
     kinds = ("pad", "arm")
 
     def rig(self, line: Line) -> PivotRig:
@@ -93,6 +92,12 @@ class Pivot:
     def log(self, rig: PivotRig, events: tuple[PivotEvent, ...], notes: tuple[str, ...]) -> PivotLog:
         """Build the log from rig, events and notes."""
         return PivotLog(rig, events, notes)
+
+
+class Pivot(PivotLogParser):
+    """See `palmd.record.systems.System`."""
+
+    name = "pivot"
 
     def known_to(self, log: PivotLog, sds: Mapping[str, float]) -> PivotLog:
         """The log with the rig's standard deviations replaced."""

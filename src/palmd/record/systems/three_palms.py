@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from operator import attrgetter
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from palmd.events import FloatArray, ObserverName, PadSample, PalmSample
+from palmd.events import Event, FloatArray, ObserverName, PadSample, PalmSample
 from palmd.jsonvalues import column, or_none
 from palmd.model.rotation import quaternions
 from palmd.observer.three_palms.incremental import SimulatedIncrementalSmoother
@@ -33,11 +32,31 @@ EDGE_M = 0.01  # distance beyond the pad's edge up to which a reading is accepte
 
 
 @dataclass(frozen=True, slots=True)
+class PadReading:
+    """One contact on pad 1 to 3: both coordinates (m) and the force (N), NaN if unknown."""
+
+    t: float
+    pad: int
+    a: float
+    b: float
+    force: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointReport:
+    """The joints: measured angles (rad), and the commanded rates and accelerations if given."""
+
+    t: float
+    angle: tuple[float, ...]
+    plan: tuple[tuple[float, ...], tuple[float, ...]] | None
+
+
+@dataclass(frozen=True, slots=True)
 class ThreePalmsLog:
     """A run: the rig, its events in file order, and notes on omitted lines."""
 
     rig: ThreePalmsRig
-    events: tuple[PadSample | PalmSample, ...]
+    events: tuple[PadReading | JointReport, ...]
     notes: tuple[str, ...]
 
 
@@ -67,7 +86,7 @@ class ThreePalms:
             vibration=vibration,
         )
 
-    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadSample | PalmSample | None]:
+    def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadReading | JointReport | None]:
         if "pad" in line:
             pad = line["pad"]
             if type(pad) is not int or pad not in PALMS:
@@ -75,16 +94,14 @@ class ThreePalms:
             a, b = number(line, "a_m"), number(line, "b_m")
             force = optional(line, "force_n")
             off_pad = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
-            yield None if off_pad else PadSample(t, pad, b, force, a)
+            yield None if off_pad else PadReading(t, pad, a, b, math.nan if force is None else force)
         if "joints" in line:
             joints = block(line, "joints")
             angle = _joints(joints, "angle_rad")
             if angle is None:
                 raise BadLineError("angle_rad is missing")
             rate, acceleration = _joints(joints, "rate_rad_s"), _joints(joints, "acc_rad_s2")
-            if rate is None or acceleration is None:
-                rate = acceleration = None
-            yield PalmSample(t, angle, rate, acceleration)
+            yield JointReport(t, angle, None if rate is None or acceleration is None else (rate, acceleration))
 
     def log(self, rig: ThreePalmsRig, events: tuple[Any, ...], notes: tuple[str, ...]) -> ThreePalmsLog:
         return ThreePalmsLog(rig, events, notes)
@@ -115,7 +132,7 @@ class ThreePalms:
 
     def tick_count(self, log: ThreePalmsLog) -> int:
         """Number of ticks that `estimate` yields."""
-        return tick_count(_by_time(log))
+        return tick_count(_SampleEvents(log))
 
     def estimate(self, log: ThreePalmsLog, observer: ObserverName, outlines: Sequence[Outline]) -> Iterator[TickFields]:
         """The live observer's estimates, tick by tick; raises NotYetError if stored outlines are given.
@@ -125,9 +142,9 @@ class ThreePalms:
         del observer
         if outlines:
             raise NotYetError("three palms in space cannot recognise stored outlines")
-        return self._ticks(_by_time(log))
+        return self._ticks(_SampleEvents(log))
 
-    def _ticks(self, log: ThreePalmsLog) -> Iterator[TickFields]:
+    def _ticks(self, log: _SampleEvents) -> Iterator[TickFields]:
         live = BodyObserver(log.rig, SimulatedIncrementalSmoother(log.rig))
         for tick, t in feed_ticks(log, log.events, live):
             estimate = live.estimate(t)
@@ -136,11 +153,23 @@ class ThreePalms:
             yield TickFields(tick, t, estimate_fields(estimate), published)
 
 
+class _SampleEvents:
+    """A log with the daemon's event types, sorted by sample time."""
+
+    def __init__(self, log: ThreePalmsLog) -> None:
+        self.rig = log.rig
+        self.events = tuple(sorted(map(as_fed, log.events), key=lambda event: event.t_sample))
+
+
+def as_fed(event: PadReading | JointReport) -> Event:
+    """Convert an event of a log to the daemon's event type."""
+    if isinstance(event, PadReading):
+        return PadSample(event.t, event.pad, event.b, None if math.isnan(event.force) else event.force, event.a)
+    rate, acceleration = (None, None) if event.plan is None else event.plan
+    return PalmSample(event.t, event.angle, rate, acceleration)
+
+
 SYSTEM = ThreePalms()
-
-
-def _by_time(log: ThreePalmsLog) -> ThreePalmsLog:
-    return replace(log, events=tuple(sorted(log.events, key=attrgetter("t_sample"))))
 
 
 def _joints(line: Line, key: str) -> tuple[float, ...] | None:
@@ -154,20 +183,20 @@ def _joints(line: Line, key: str) -> tuple[float, ...] | None:
 
 def path_and_readings(log: ThreePalmsLog) -> tuple[JointPath | None, PadReadings]:
     """The joints' path and the readings in time order; the path is None with fewer than 8 joint reports."""
-    reports = {event.t_sample: event for event in log.events if isinstance(event, PalmSample)}
-    contacts = sorted((event for event in log.events if isinstance(event, PadSample)), key=attrgetter("t_sample"))
+    reports = {event.t: event for event in log.events if isinstance(event, JointReport)}
+    contacts = sorted((event for event in log.events if isinstance(event, PadReading)), key=lambda each: each.t)
     readings = PadReadings(
-        np.array([each.t_sample for each in contacts]),
+        np.array([each.t for each in contacts]),
         np.array([each.pad - 1 for each in contacts], dtype=np.int64),
-        np.array([[each.across, each.s] for each in contacts], dtype=np.float64).reshape(-1, 2),
-        np.array([each.force for each in contacts], dtype=np.float64),
+        np.array([[each.a, each.b] for each in contacts]).reshape(-1, 2),
+        np.array([each.force for each in contacts]),
     )
     if len(reports) < 8:
         return None, readings
     ordered = [reports[t] for t in sorted(reports)]
-    plans = [(each.rates, each.accelerations) for each in ordered if each.rates is not None]
-    plan: FloatArray | None = np.array(plans) if len(plans) == len(ordered) else None
-    t, angle = np.array([each.t_sample for each in ordered]), np.array([each.angles for each in ordered])
+    plans = [each.plan for each in ordered]
+    plan: FloatArray | None = None if any(each is None for each in plans) else np.array(plans)
+    t, angle = np.array([each.t for each in ordered]), np.array([each.angle for each in ordered])
     return joint_path(t, angle, plan, log.rig.angle_noise), readings
 
 
