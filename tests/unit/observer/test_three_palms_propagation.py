@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from curvature import curvatures
 from plain_body_equations import PlainEquations
+from system_logs import log_of
 
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
@@ -44,11 +45,8 @@ COARSE_ORDER = 3
 def laid_out_run(seed):
     """One body's log, laid out, and its truth."""
     (body,) = simulate("friction", 1, SECONDS, seed=seed)
-    head, *lines = body.lines
-    rig = SYSTEM.rig(head["rig"])
-    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
-    return path, readings, rig, body.truth
+    log = log_of(SYSTEM, body.lines)
+    return *path_and_readings(log), log.rig, body.truth
 
 
 def task_of(run):
@@ -248,18 +246,17 @@ def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain
 
 
 def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, monkeypatch):
-    asked, fit = [], BodySmoother.fit
+    asked = []
     gains = iter((propagation.PRUNE_COST + 1.0, propagation.PRUNE_COST + 2.0, propagation.PRUNE_COST - 1.0))
     left = [coarse.cost]
 
     def gained(self, motion, *most):
         asked.append(len(motion.p))
         left[0] -= next(gains)
-        return replace(fit(self, motion, *most), cost=left[0])
+        return replace(self.evaluate(motion), cost=left[0])
 
     monkeypatch.setattr(BodySmoother, "fit", gained)
     monkeypatch.setattr(propagation, "EXCESS_SD", -math.inf)
-    monkeypatch.setattr(propagation, "REFINE_ITERATIONS", 1)
     assert propagation.refine_outline(task, coarse, (3, 4, 5, 6, 7)).order == 5
     assert asked == [count(order) + BODY for order in (4, 5, 6)]
 
@@ -318,24 +315,17 @@ def strange(now):
     return replace(now, cost=cost, confirmed=0)
 
 
-def test_what_is_short_is_alone_until_another_start_comes_to_it(right):
+def test_a_short_costly_or_finely_bent_record_is_alone_until_another_start_comes_to_it(right, monkeypatch):
+    alone = replace(right, confirmed=0)
     assert right.intervals * SPACING_S < propagation.CONFIRMED_S
+    assert alone.needs_confirmation
     assert not right.needs_confirmation
-    assert replace(right, confirmed=0).needs_confirmation
-
-
-def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right, monkeypatch):
     monkeypatch.setattr(propagation, "CONFIRMED_S", 1.0)  # it is long enough
+    assert not alone.needs_confirmation
     assert strange(right).needs_confirmation
     assert not replace(strange(right), confirmed=right.intervals).needs_confirmation
-    assert not replace(right, confirmed=0).needs_confirmation  # nothing is strange in it
-
-
-def test_who_bends_as_far_as_the_finest_harmonics_do_is_alone_until_another_start_comes_to_it(right, monkeypatch):
-    monkeypatch.setattr(propagation, "CONFIRMED_S", 1.0)
-    assert not replace(right, confirmed=0).needs_confirmation
     monkeypatch.setattr(propagation, "FINER_ORDERS", (ORDER - 1, ORDER))
-    assert replace(right, confirmed=0).needs_confirmation
+    assert alone.needs_confirmation
     assert not right.needs_confirmation
 
 
