@@ -7,7 +7,6 @@ A message is a flat map with string keys; values are numbers, booleans, strings 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -38,6 +37,7 @@ from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, TICK, UNITS, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
+from palmd.system.reasons import code_of
 from palmd.system.rig_constants import RIG_NAMES, describe_rig_errors
 
 if TYPE_CHECKING:
@@ -107,11 +107,10 @@ def estimate_fields(estimate: Estimate) -> Fields:
 
 
 def invalid_reasons(estimate: LiveEstimate, reason: str = "") -> list[str]:
-    """Codes of the reasons why an estimate is invalid: its own, else one made from its `reason` in words."""
+    """Codes of the reasons why an estimate is invalid: its own, else that of its `reason` in words."""
     if estimate.valid:
         return []
-    code = "-".join(re.findall("[a-z]+", reason.lower()))
-    return [*estimate.invalid_reasons] or [code or "no-answer"]
+    return [*estimate.invalid_reasons] or [code_of(reason) or "no-answer"]
 
 
 def estimate_summary(estimate: Estimate) -> Fields:

@@ -11,11 +11,11 @@ from palmd.model import rotation
 from palmd.model.spherical import order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.arrow import STATES
+from palmd.observer.three_palms.body import SPIN_NOISE, SPIN_NOISE_BY_SPIN, TURN_NOISE
 from palmd.observer.three_palms.body_filter import GATE, LONGEST_STEP_S, NIS_GAIN, SHORT_AXES, BodyFilter, PlaneReading
-from palmd.observer.three_palms.compiled_filter import STATES
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
-from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
 from palmd.system.three_palms import PALMS, BodyAnswer, PalmPlanes, ThreePalmsRig
 
 LEAST_S = 1e-9  # shorter spans are none
@@ -56,13 +56,13 @@ class PlainFilter(BodyFilter):
         M = np.linalg.inv(np.eye(STATES) - 0.5 * h * J)
         rate = M @ np.concatenate([self.omega, alpha])
         onward, through = M @ (np.eye(STATES) + 0.5 * h * J), h * M[:, 3:] @ by_p
-        spin = h * (SPIN + BY_SPIN * float(self.omega @ self.omega))
+        spin = h * (SPIN_NOISE + SPIN_NOISE_BY_SPIN * float(self.omega @ self.omega))
         self.R[:] = rotation.exp(h * rate[:3]) @ self.R
         self.omega[:] += h * rate[3:]
         P = self.P.copy()
         P[:STATES] = onward @ self.P[:STATES] + through @ self.P[STATES:]
         P[:, :STATES] = P[:, :STATES] @ onward.T + P[:, STATES:] @ through.T
-        P[range(STATES), range(STATES)] += np.repeat([h * TURN, spin], 3)
+        P[range(STATES), range(STATES)] += np.repeat([h * TURN_NOISE, spin], 3)
         self.P = P
 
     def _correct(self, reading: PlaneReading, geometry: FloatArray) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from palmd.events import Event, FloatArray, Improvement, Unexplained
 
@@ -42,6 +43,38 @@ class SmoothingOfOne(Protocol[Answer]):
 
     def collect(self, t: float) -> Answer | None:
         """The newest answer at `t` (s), each once."""
+
+
+class SimulatedSmoothingOfOne(Generic[Answer]):
+    """Simulates a smoother that runs beside the loop: an answer comes some time after it was begun."""
+
+    def __init__(
+        self, add: Callable[[Sequence[Event]], None], answer: Callable[[], Answer | None],
+        latency_s: Callable[[Answer, Answer | None], float], period_s: float = 0.0,
+    ) -> None:  # fmt: skip
+        """`latency_s`: of an answer, from it and the one before. `period_s`: of answers, or longer; inf for none."""
+        self._add, self._answer, self._latency_s, self._period = add, answer, latency_s, period_s
+        self._next = -math.inf if math.isfinite(period_s) else math.inf
+        self._newest: Answer | None = None
+        self._ready = math.inf  # when the newest answer is ready; infinite once it was taken
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Add the tick's events, and begin an answer if one is due and none is pending."""
+        self._add(events)
+        if t < self._next or math.isfinite(self._ready):
+            return
+        self._next = t + self._period
+        answer = self._answer()
+        if answer is not None:
+            self._ready = t + self._latency_s(answer, self._newest)
+            self._newest = answer
+
+    def collect(self, t: float) -> Answer | None:
+        """The answer whose latency has passed at `t` (s), once."""
+        if t < self._ready:
+            return None
+        self._ready = math.inf
+        return self._newest
 
 
 def period(elapsed_s: float) -> float:

@@ -23,8 +23,6 @@ FRICTION_SHARE = 2.4
 """That acceleration over μg: 1.3 on average for ellipses between palms at rest, below this value for 95 % of them."""
 MOST_FRICTION = 0.3
 """Coefficient of friction for which a vibration should be strong enough; objects with more are rare."""
-STEPS_A_PERIOD = 20
-"""Steps per period for an excitation that is resolved."""
 RESONANT = (0.5, 2.0)
 """Range of frequency over resonance in which normal forces follow friction up to 2.6-fold, or with the wrong sign."""
 
@@ -51,11 +49,6 @@ class Excitation:
     def acceleration(self) -> float:
         """Amplitude of the acceleration, 2πfV (m/s²)."""
         return 2.0 * math.pi * self.frequency * self.speed
-
-    @property
-    def longest_step_s(self) -> float:
-        """Longest time step of a model that resolves it (s)."""
-        return 1.0 / (STEPS_A_PERIOD * self.frequency)
 
 
 def friction_acceleration(mu: float, gravity: float) -> float:

@@ -608,7 +608,7 @@ def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
     tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, 9.0))
     costly = replace(first, motion=tumbled, cost=1.2 * first.record.numbers)
     assert (
-        reconstruct.reconstruction_of(task, [costly], 0.0).reason
+        reconstruct.reconstruction_of(task, [costly]).reason
         == "no motion that satisfies the equations of motion explains the readings"
     )
 

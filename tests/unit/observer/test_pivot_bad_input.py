@@ -5,12 +5,13 @@ What whole logs are refused for is in `test_pivot_reconstruct`."""
 from dataclasses import replace
 
 import pytest
+from system_logs import log_of
 
 from palmd.events import PadSample
 from palmd.observer.pivot.incremental import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import reconstruct
-from palmd.record.systems.pivot import PivotLogParser
+from palmd.record.systems.pivot import SYSTEM
 from palmd.system.pivot import GripperSample
 from tools.studies.pivot_logs import simulate_pivot_log
 
@@ -20,10 +21,8 @@ TICK_S, PERIOD_S = 0.05, 4.0
 
 @pytest.fixture(scope="module")
 def good():
-    lines, _ = simulate_pivot_log("tilt", SEED)
-    form = PivotLogParser()
-    rig = form.rig(lines[0]["rig"])
-    return rig, [event for line in lines[1:] for event in form.events(line["t"], line, rig) if event is not None]
+    log = log_of(SYSTEM, simulate_pivot_log("tilt", SEED)[0])
+    return log.rig, list(log.events)
 
 
 def arms(events, **changes):

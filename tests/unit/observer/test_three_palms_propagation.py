@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from curvature import curvatures
 from plain_body_equations import PlainEquations
+from system_logs import log_of
 
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
@@ -44,11 +45,8 @@ COARSE_ORDER = 3
 def laid_out_run(seed):
     """One body's log, laid out, and its truth."""
     (body,) = simulate("friction", 1, SECONDS, seed=seed)
-    head, *lines = body.lines
-    rig = SYSTEM.rig(head["rig"])
-    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
-    return path, readings, rig, body.truth
+    log = log_of(SYSTEM, body.lines)
+    return *path_and_readings(log), log.rig, body.truth
 
 
 def task_of(run):
@@ -98,23 +96,21 @@ def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
     nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
     motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
     motion = motion.moved(nodes, random.normal(0.0, 1e-4, len(motion.p)))
-    for nodes_alone in (False, True):
-        compiled, twin = (
-            make(record, task.noise, task.rig, ORDER).at(motion, nodes_alone=nodes_alone)
-            for make in (CompiledEquations, PlainEquations)
-        )
-        for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
-            one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max(initial=0.0))
-        np.testing.assert_allclose(compiled.residual, twin.residual, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(compiled.force, twin.force, rtol=1e-9)
-        assert compiled.squares == pytest.approx(twin.squares, rel=1e-9)
+    compiled, twin = (
+        make(record, task.noise, task.rig, ORDER).at(motion) for make in (CompiledEquations, PlainEquations)
+    )
+    for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
+        one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max(initial=0.0))
+    np.testing.assert_allclose(compiled.residual, twin.residual, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(compiled.force, twin.force, rtol=1e-9)
+    assert compiled.squares == pytest.approx(twin.squares, rel=1e-9)
 
 
 def test_a_record_without_readings_has_equations(task, right):
     none = replace(task.full_record.first(4), readings=task.readings.within(-2.0, -1.0))
     empty = np.zeros(0, dtype=np.int64)
-    none = replace(none, interval=empty, share=np.zeros(0), slot=empty, geometry=np.zeros((0, 24)))
+    none = replace(none, interval=empty, share=np.zeros(0), geometry=np.zeros((0, 24)))
     motion = BodyMotion(right.motion.R[:5], right.motion.omega[:5], right.motion.p)
     given = none, task.noise, task.rig, ORDER
     squares = CompiledEquations(*given).at(motion).squares
@@ -125,8 +121,8 @@ def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
     for intervals in (1, 37, len(task.full_record.middle_palms)):
         own = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
         some = task.full_record.first(intervals)
-        assert (some.start, some.spacing, some.numbers, some.slots) == (own.start, own.spacing, own.numbers, own.slots)
-        for name in ("node_palms", "middle_palms", "interval", "share", "slot", "geometry"):
+        assert (some.start, some.spacing, some.numbers) == (own.start, own.spacing, own.numbers)
+        for name in ("node_palms", "middle_palms", "interval", "share", "geometry"):
             np.testing.assert_array_equal(getattr(some, name), getattr(own, name))
         for name in ("t", "pad", "value", "force"):
             np.testing.assert_array_equal(getattr(some.readings, name), getattr(own.readings, name))
@@ -250,18 +246,17 @@ def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain
 
 
 def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, monkeypatch):
-    asked, fit = [], BodySmoother.fit
+    asked = []
     gains = iter((propagation.PRUNE_COST + 1.0, propagation.PRUNE_COST + 2.0, propagation.PRUNE_COST - 1.0))
     left = [coarse.cost]
 
     def gained(self, motion, *most):
         asked.append(len(motion.p))
         left[0] -= next(gains)
-        return replace(fit(self, motion, *most), cost=left[0])
+        return replace(self.evaluate(motion), cost=left[0])
 
     monkeypatch.setattr(BodySmoother, "fit", gained)
     monkeypatch.setattr(propagation, "EXCESS_SD", -math.inf)
-    monkeypatch.setattr(propagation, "REFINE_ITERATIONS", 1)
     assert propagation.refine_outline(task, coarse, (3, 4, 5, 6, 7)).order == 5
     assert asked == [count(order) + BODY for order in (4, 5, 6)]
 
@@ -320,24 +315,17 @@ def strange(now):
     return replace(now, cost=cost, confirmed=0)
 
 
-def test_what_is_short_is_alone_until_another_start_comes_to_it(right):
+def test_a_short_costly_or_finely_bent_record_is_alone_until_another_start_comes_to_it(right, monkeypatch):
+    alone = replace(right, confirmed=0)
     assert right.intervals * SPACING_S < propagation.CONFIRMED_S
+    assert alone.needs_confirmation
     assert not right.needs_confirmation
-    assert replace(right, confirmed=0).needs_confirmation
-
-
-def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right, monkeypatch):
     monkeypatch.setattr(propagation, "CONFIRMED_S", 1.0)  # it is long enough
+    assert not alone.needs_confirmation
     assert strange(right).needs_confirmation
     assert not replace(strange(right), confirmed=right.intervals).needs_confirmation
-    assert not replace(right, confirmed=0).needs_confirmation  # nothing is strange in it
-
-
-def test_who_bends_as_far_as_the_finest_harmonics_do_is_alone_until_another_start_comes_to_it(right, monkeypatch):
-    monkeypatch.setattr(propagation, "CONFIRMED_S", 1.0)
-    assert not replace(right, confirmed=0).needs_confirmation
     monkeypatch.setattr(propagation, "FINER_ORDERS", (ORDER - 1, ORDER))
-    assert replace(right, confirmed=0).needs_confirmation
+    assert alone.needs_confirmation
     assert not right.needs_confirmation
 
 
@@ -574,7 +562,7 @@ def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
 
 def test_a_rival_that_ends_early_is_refused(task):
     now = started(task)
-    told = reconstruction_of(task, [now], 0.0)
+    told = reconstruction_of(task, [now])
     assert not told.converged
     assert "fails after 1.3 s" in told.reason
 

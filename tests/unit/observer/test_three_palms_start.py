@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
+from system_logs import log_of
 
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.driven import ContactCurves, nearest_balls, smoothing_spline
@@ -39,16 +40,14 @@ def test_a_smoothing_spline_is_scipys():
 
 def test_given_contacts_tell_how_centre_and_spin_go_on():
     (run,) = simulate("friction", 1, SECONDS + 0.1, seed=2)
-    truth, (head, *lines) = run.truth, run.lines
-    rig = SYSTEM.rig(head["rig"])
-    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
+    truth, log = run.truth, log_of(SYSTEM, run.lines)
+    path, readings = path_and_readings(log)
     t = np.array(truth["t"])[: round(SECONDS / SPACING)]
     state = np.concatenate([truth["com_m"], truth["omega_rad_s"]], axis=1)[: len(t)]
     gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
     constants = np.array([math.log(gyration), 0.0, math.log(truth["mu"]), math.log(truth["dither_m_s"])])
     given = (state, palm_inputs(path.palms(t)), ContactCurves.smoothed(readings).at(path, t))
-    rates = kernels.driven()(given, (constants, rig.kernel_constants))[0]
+    rates = kernels.driven()(given, (constants, log.rig.kernel_constants))[0]
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
     assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4
@@ -56,12 +55,10 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
 
 def test_a_body_that_nothing_rubs_is_found_blindly():
     run = simulate("drag", 1, 1.6, seed=9541)[0]
-    head, *lines = run.lines
-    rig = SYSTEM.rig(head["rig"])
-    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
-    path, readings = path_and_readings(SYSTEM.log(rig, events, ()))
+    log = log_of(SYSTEM, run.lines)
+    path, readings = path_and_readings(log)
     start, end = longest_stretch(path, readings)
-    first, *_ = start_candidates(Task(path, readings, ContactCurves.smoothed(readings), rig, start, end), 1.5)
+    first, *_ = start_candidates(Task(path, readings, ContactCurves.smoothed(readings), log.rig, start, end), 1.5)
     nodes = np.searchsorted(run.truth["t"], first.record.t - 0.5 * SPACING)
     off = np.sqrt(np.mean((first.fit.motion.omega - np.array(run.truth["omega_rad_s"])[nodes]) ** 2))
     assert first.cost_per_number < 1.05

@@ -61,8 +61,7 @@ UNSOFTENED = Softening()
 class PivotFit:
     """A minimum: spline coefficients c, constants p, cost, χ² of each kind without outliers, state of the iteration.
 
-    outliers: fraction of the pad's readings above the gate. prior_cost: the prior's part of the cost. gain: amplitudes
-    of the pad's gain modes, in their 1σ.
+    outliers: fraction of the pad's readings above the gate. gain: amplitudes of the pad's gain modes, in their 1σ.
     """
 
     c: FloatArray
@@ -73,8 +72,6 @@ class PivotFit:
     force_chi2: float
     torque_chi2: float
     outliers: float
-    prior_cost: float
-    iterations: int
     converged: bool
     gain: FloatArray
 
@@ -84,7 +81,6 @@ class _Normal:
     cost: float
     chi2: tuple[float, float, float, float]
     outliers: float
-    prior_cost: float
     banded: FloatArray
     border: FloatArray
     corner: FloatArray
@@ -149,7 +145,7 @@ class Problem:
                 converged, now = False, self.linearised(c, x, soft)
             damping = max(damping / 8.0, LEAST_DAMPING)
         constants, gain = np.split(x, [CONSTANTS])
-        return PivotFit(c, constants, now.cost, *now.chi2, now.outliers, now.prior_cost, count, converged, gain)
+        return PivotFit(c, constants, now.cost, *now.chi2, now.outliers, converged, gain)
 
     def _open_gates(self, c: FloatArray, x: FloatArray, soft: Softening) -> None:
         """Set the gates by the present spread of all residuals."""
@@ -199,7 +195,7 @@ class Problem:
             cost = sum(part[3] for part in parts) + prior_cost + gauge**2
             if not (math.isfinite(cost) and np.isfinite(in_p).all() and np.isfinite(in_c).all()):
                 none: FloatArray = np.zeros(0)
-                return _Normal(math.inf, (math.inf,) * 4, 1.0, math.inf, none, none, none, none, none)
+                return _Normal(math.inf, (math.inf,) * 4, 1.0, none, none, none, none, none)
         sparse = csr_matrix((in_c, *self._pattern), shape=(len(residual), len(c)))
         across = sparse.T.tocsr()
         normal = across @ sparse
@@ -215,7 +211,6 @@ class Problem:
             cost,
             (parts[0][4], parts[1][4], parts[2][4], parts[3][4]),
             parts[0][5],
-            prior_cost,
             banded,
             across @ in_p,
             in_p.T @ in_p + np.diag(1 / self._sd**2) + body_jacobian.T @ body_jacobian,
@@ -318,7 +313,7 @@ def _play_state(record: PivotRecord, forces: FloatArray) -> FloatArray:
     """State of the pad's play operator at each force, touch by touch."""
     state: FloatArray = np.zeros(len(forces))
     for touch in record.touches:
-        mine = (record.forces.t >= touch.begin) & (record.forces.t <= touch.end)
+        mine = touch.contains(record.forces.t)
         state[mine] = hysteresis_position(forces[mine])
     return state
 

@@ -11,6 +11,7 @@ import numpy as np
 from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, rejected
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
+from palmd.observer.smoothing import SimulatedSmoothingOfOne
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
@@ -143,25 +144,10 @@ def as_fed(event: PivotEvent, *, slides: bool = False) -> Event:
     return PalmSample(event.t_sample, (event.x, height), planned, second)
 
 
-class SimulatedSmoothing:
-    """Simulates a smoother that runs beside the loop: an answer comes a fixed time after it was begun."""
+class SimulatedSmoothing(SimulatedSmoothingOfOne[PivotAnswer]):
+    """Simulates the smoother beside the loop, with a fixed latency."""
 
     def __init__(self, rig: PivotRig, period_s: float = PERIOD_S) -> None:
         """A reconstruction begins every `period_s`; never if that is infinite."""
-        self._smoother, self._period = IncrementalPivotSmoother(rig), period_s
-        self._next = -math.inf if math.isfinite(period_s) else math.inf
-        self._ready: tuple[float, PivotAnswer | None] | None = None
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Add the tick's events, and begin a reconstruction when it is due."""
-        self._smoother.add(events)
-        if t >= self._next and self._ready is None:
-            self._next = t + self._period
-            self._ready = (t + LATENCY_S, self._smoother.answer())
-
-    def collect(self, t: float) -> PivotAnswer | None:
-        """The answer whose latency has passed at `t` (s), once."""
-        if self._ready is None or t < self._ready[0]:
-            return None
-        answer, self._ready = self._ready[1], None
-        return answer
+        smoother = IncrementalPivotSmoother(rig)
+        super().__init__(smoother.add, smoother.answer, lambda *_: LATENCY_S, period_s)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from palmd.events import Event, PadLift, PadSample, PalmSample, ShapeEstimate
+from palmd.observer.observer_of_one import ObserverOfOne
 from palmd.observer.pivot.accepted import (
     GAP_S,
     GATE,
@@ -52,15 +53,14 @@ class Present:
     z_sd: float = math.nan
 
 
-class PivotObserver:
+class PivotObserver(ObserverOfOne[PivotAnswer]):
     """See the module and `observer.observer.LiveObserver`. Safe in the loop."""
 
     def __init__(self, rig: PivotRig, smoothing: SmoothingOfOne[PivotAnswer]) -> None:
         """`smoothing` estimates the outline; without its answers only measured quantities are known."""
-        self.name, self.backend = NAME, "numpy"
-        self.object_count, self.late_dropped, self.improvements = 1, 0, 0
-        self._rig, self._smoothing = rig, smoothing
-        self._unsent: list[Event] = []
+        super().__init__(NAME, smoothing)
+        self.backend = "numpy"
+        self._rig = rig
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
         self._reason = "no outline is known yet"
@@ -98,16 +98,6 @@ class PivotObserver:
             step = event.t_sample - self._recent[-1].t_sample if self._recent else 0.0
             self._take_reading(event)
             self._track(event, step)
-
-    def improve(self, t: float) -> PivotAnswer | None:
-        """Send events to the smoother beside the loop and take its answer; returns each answer once."""
-        events, self._unsent = self._unsent, []
-        self._smoothing.submit(t, events)
-        answer = self._smoothing.collect(t)
-        if answer is not None:
-            self.improvements += 1
-            self._take_answer(answer)
-        return answer
 
     def estimate(self, t: float) -> PivotEstimate:
         """Estimate at time `t` (s); never raises, NaN for what is not known."""
@@ -160,20 +150,6 @@ class PivotObserver:
         """Whether the gripper's position is known."""
         return self._gripper is not None
 
-    @property
-    def invalid_because(self) -> str:
-        """Reason of the last estimate; empty if it was valid."""
-        return self._invalid_because
-
-    def forget_object(self) -> bool:
-        """Not supported: returns False."""
-        return False
-
-    @property
-    def cornered(self) -> bool:
-        """Always False: only smooth objects are modelled."""
-        return False
-
     def planning_belief(self, t: float) -> Touching | None:
         """Measured contact for planning drags; None before the gripper's position is known."""
         if self._gripper is None:
@@ -189,10 +165,6 @@ class PivotObserver:
             band = float(np.sqrt(np.mean(self._body.answer.h_sd[was_touched] ** 2))) if was_touched.any() else math.nan
             touched = float(was_touched.mean())
         return Touching(t, x, z, e, force, self._touching, touched, band)
-
-    def identify(self, t: float) -> None:
-        """Not supported: no outlines of pivoting bodies are stored."""
-        del t
 
     # ---- its parts ---------------------------------------------------------------------------------------
 

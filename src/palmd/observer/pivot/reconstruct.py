@@ -6,7 +6,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,10 @@ OUTSIDE_SIGMAS = 3.0  # standard deviations
 ONE_SIDE = "only one side of the dead centre was touched: touch both sides, so that the force relates them"
 
 
+def _none() -> FloatArray:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True, slots=True)
 class PivotReconstruction:
     """Estimate from a run; SI units, NaN or None for no value.
@@ -69,28 +73,28 @@ class PivotReconstruction:
     """
 
     converged: bool
-    chi2: float
-    theta: FloatArray
-    h: FloatArray | None
-    h_sd: FloatArray | None
-    touched: npt.NDArray[np.bool_] | None
-    mu: float
-    mu_sd: float
-    com: FloatArray | None
-    com_sd: FloatArray | None
-    inertia: float
-    inertia_sd: float
-    mass: float
-    mass_sd: float
-    moment: FloatArray | None
-    moment_sd: FloatArray | None
-    inertia_kg: float
-    inertia_kg_sd: float
-    t: FloatArray
-    psi: FloatArray
-    omega0: FloatArray
     reason: str
-    seconds: float
+    chi2: float = math.nan
+    theta: FloatArray = field(default_factory=directions)
+    h: FloatArray | None = None
+    h_sd: FloatArray | None = None
+    touched: npt.NDArray[np.bool_] | None = None
+    mu: float = math.nan
+    mu_sd: float = math.nan
+    com: FloatArray | None = None
+    com_sd: FloatArray | None = None
+    inertia: float = math.nan
+    inertia_sd: float = math.nan
+    mass: float = math.nan
+    mass_sd: float = math.nan
+    moment: FloatArray | None = None
+    moment_sd: FloatArray | None = None
+    inertia_kg: float = math.nan
+    inertia_kg_sd: float = math.nan
+    t: FloatArray = field(default_factory=_none)
+    psi: FloatArray = field(default_factory=_none)
+    omega0: FloatArray = field(default_factory=_none)
+    seconds: float = 0.0
     p: FloatArray | None = None
     covariance: FloatArray | None = None
     outline_sd_m: float = math.nan
@@ -104,11 +108,11 @@ def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruct
     """
     started = time.perf_counter()
     laws = (rig, replace(rig, vibration=AVERAGED)) if rig.vibration == INDEPENDENT else (rig,)
-    answer = _most_likely([_by_one_law(events, each, started) for each in laws])
+    answer = _most_likely([_by_one_law(events, each) for each in laws])
     return replace(answer, seconds=time.perf_counter() - started)
 
 
-def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, started: float) -> tuple[PivotReconstruction, float]:
+def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig) -> tuple[PivotReconstruction, float]:
     """Estimate with the rig's law of friction, and its cost (−2 log evidence up to a constant; inf without a fit)."""
     try:
         rig_with_noise = _with_scatter(rig, events)
@@ -118,9 +122,9 @@ def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, started: float) -> 
         fits, problem = _minima(record)
         return _answer(problem, fits), fits[0].cost
     except TooLittleError as error:
-        return _rejected(str(error), started), math.inf
+        return rejected(str(error)), math.inf
     except np.linalg.LinAlgError:
-        return _rejected("no motion of a body explains the readings", started), math.inf
+        return rejected("no motion of a body explains the readings"), math.inf
 
 
 def _most_likely(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
@@ -253,10 +257,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     best, record = fits[0], problem.record
     theta = directions()
     rows = record.readings
-    normals = [
-        normal_of(record.motion(best.c, rows)[(rows.t >= touch.begin) & (rows.t <= touch.end), 0])[:, None]
-        for touch in record.touches
-    ]
+    normals = [normal_of(record.motion(best.c, rows)[touch.contains(rows.t), 0])[:, None] for touch in record.touches]
     touched = np.logical_or.reduce([touched_by(each) for each in normals])
     coefficients = best.p[P.SHAPE :]
     h = shape.basis(theta, ORDER) @ coefficients
@@ -296,7 +297,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         mu=mu, mu_sd=mu_sd, com=com, com_sd=com_sd, inertia=inertia, inertia_sd=inertia_sd,
         mass=p[P.MASS] if has_mass else math.nan, mass_sd=sd[P.MASS] if has_mass else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
-        t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
+        t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason,
         p=p, covariance=covariance, outline_sd_m=outline_sd_m,
     )  # fmt: skip
 
@@ -338,10 +339,9 @@ def _rejection_reason(
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
     if rig.vertical == "rigid":
-        e = record.readings.value - record.readings.inputs[:, 0]
-        if abs(np.sign([np.median(e[_of(record, i)]) for i in range(len(record.touches))]).sum()) == len(
-            record.touches
-        ):
+        t, e = record.readings.t, record.readings.value - record.readings.inputs[:, U.X]
+        sides = np.sign([np.median(e[touch.contains(t)]) for touch in record.touches])
+        if abs(sides.sum()) == len(sides):
             return ONE_SIDE
         if not forces:
             return "the pad gives no force, which is needed to relate both sides of the dead centre"
@@ -352,11 +352,6 @@ def _rejection_reason(
         if rival.cost < best.cost + AMBIGUOUS_COST and _differs(theta, touched, h, rival):
             return "another outline explains the readings as well"
     return ""
-
-
-def _of(record: PivotRecord, number: int) -> npt.NDArray[np.bool_]:
-    touch = record.touches[number]
-    return (record.readings.t >= touch.begin) & (record.readings.t <= touch.end)
 
 
 def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
@@ -378,12 +373,4 @@ def _ratio_of(
 
 def rejected(reason: str) -> PivotReconstruction:
     """A rejected reconstruction, without a fit."""
-    return _rejected(reason, time.perf_counter())
-
-
-def _rejected(reason: str, started: float) -> PivotReconstruction:
-    nan, none = math.nan, np.zeros(0)
-    return PivotReconstruction(
-        False, nan, directions(), None, None, None, nan, nan, None, None, nan, nan, nan, nan, None, None, nan, nan,
-        none, none, none, reason, time.perf_counter() - started,
-    )  # fmt: skip
+    return PivotReconstruction(False, reason)

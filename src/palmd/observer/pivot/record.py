@@ -62,6 +62,10 @@ class TouchSpan:
         """Its coefficients among all."""
         return slice(self.first, self.first + self.count)
 
+    def contains(self, t: FloatArray) -> npt.NDArray[np.bool_]:
+        """Which of the times t lie within the contact."""
+        return (t >= self.begin) & (t <= self.end)
+
     def taps(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
         """(first coefficient, weights (n, 3, TAPS)) at times t (n,) of the contact."""
         dt = self.spacing
@@ -208,7 +212,7 @@ def _landed(part: list[PadSample], arm: ArmMotion) -> list[PadSample]:
 
 def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Rows:
     if rig.vertical == "float":
-        inside = np.logical_or.reduce([(arm.t >= touch.begin) & (arm.t <= touch.end) for touch in touches])
+        inside = np.logical_or.reduce([touch.contains(arm.t) for touch in touches])
         t, z = arm.t[inside], arm.height[inside]
         return _rows(touches, arm, t, z, np.full(len(t), rig.arm_noise**2))
     times, heights = [], []
@@ -247,7 +251,7 @@ def _torques(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig, force:
 def _rows(touches: Sequence[TouchSpan], arm: ArmMotion, t: FloatArray, value: FloatArray, variance: FloatArray) -> Rows:
     first, weights = np.zeros(len(t), dtype=np.intp), np.zeros((len(t), 3, TAPS))
     for touch in touches:
-        mine = (t >= touch.begin) & (t <= touch.end)
+        mine = touch.contains(t)
         first[mine], weights[mine] = touch.taps(t[mine])
     return Rows(t, value, variance, arm.inputs(t), first, weights)
 

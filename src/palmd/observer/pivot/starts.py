@@ -119,7 +119,7 @@ class Side:
 def side_of(record: PivotRecord, touch: TouchSpan) -> Side:
     """Smooth a contact's locus, and integrate dθ = dz/e to its outline."""
     rows = record.readings
-    mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
+    mine = touch.contains(rows.t)
     u = rows.inputs[mine]
     z, e = u[:, U.Z], rows.value[mine] - u[:, U.X]
     curve = _curve(z, e, math.sqrt(record.rig.pad.reading_variance), float(np.ptp(z)) / 14)
@@ -137,7 +137,7 @@ def side_of(record: PivotRecord, touch: TouchSpan) -> Side:
     spread = (e - curve(z)) / math.sqrt(record.rig.pad.reading_variance)
     scatter = 1.4826 * float(np.median(np.abs(spread)))
     forces = record.forces
-    with_force = (forces.t >= touch.begin) & (forces.t <= touch.end)
+    with_force = touch.contains(forces.t)
     force, force_sd = np.full(len(t), np.nan), np.full(len(t), np.inf)
     if with_force.sum() >= 2:
         force = np.interp(t, forces.t[with_force], _running_mean(forces.value[with_force]))
@@ -333,7 +333,7 @@ def _contact_grid(record: PivotRecord, touch: TouchSpan) -> _ContactGrid:
     t = np.linspace(touch.begin, touch.end, max(int((touch.end - touch.begin) / 0.01), 10))
     smooth = []
     for rows, own in ((record.heights, 0), (record.readings, 1)):
-        mine = (rows.t >= touch.begin) & (rows.t <= touch.end)
+        mine = touch.contains(rows.t)
         value = rows.value[mine] - (rows.inputs[mine, U.X] if own else 0.0)
         value = _without_outliers(value, math.sqrt(float(rows.variance[mine].mean())))
         smooth.append(_curve(rows.t[mine], value, math.sqrt(float(rows.variance[mine].mean())), CONTACT_CELL_S))

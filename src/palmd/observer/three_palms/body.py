@@ -17,6 +17,10 @@ FINER_ORDERS_LIVE = (16,)
 FINER_ORDERS = (20, 26)
 """Finer degrees for whole records, tried one after the other."""
 
+SPIN_NOISE, SPIN_NOISE_BY_SPIN, TURN_NOISE = 1e-3, 1e-2, 1e-7
+"""Process noise as spectral densities: of the spin ((rad/s)²/s), its increase by |ω|² (1/s), of the rotation (rad²/s).
+"""
+
 
 def inertia(p: FloatArray) -> FloatArray:
     """(3, 3) inertia in the body's frame, per unit mass (m²)."""

@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from palmd.events import FloatArray
 from palmd.model import rotation
 from palmd.observer.three_palms.arrow import Arrow
-from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
-from palmd.observer.three_palms.record import BodyRecord
+from palmd.observer.three_palms.body import SPIN_NOISE, SPIN_NOISE_BY_SPIN, TURN_NOISE
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """1σ of a reading (m), and spectral densities of the process noise as in `motion_noise`."""
+    """1σ of a reading (m), and spectral densities of the process noise as in `body`."""
 
     reading: float
-    spin: float = SPIN
-    by_spin: float = BY_SPIN
-    turn: float = TURN
+    spin: float = SPIN_NOISE
+    by_spin: float = SPIN_NOISE_BY_SPIN
+    turn: float = TURN_NOISE
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,25 +48,3 @@ class SumOfSquares:
     squares: float
     residual: FloatArray
     force: FloatArray
-
-
-def at_readings(record: BodyRecord, R: FloatArray, omega: FloatArray) -> FloatArray:
-    """(S, 3, 3) rotations at the readings' times, interpolated between nodes R, omega (K + 1, …)."""
-    return _between(record, R, omega, *_turns(R, omega))
-
-
-def _turns(R: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(K, 3) rotation vectors from each node to the next, and their rates at the interval's end."""
-    phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
-    return phi, omega[1:] - 0.5 * np.cross(phi, omega[1:])
-
-
-def _between(record: BodyRecord, R: FloatArray, omega: FloatArray, phi: FloatArray, ending: FloatArray) -> FloatArray:
-    k, (there, out, back) = record.interval, (each[:, None] for each in _hermite(record.share))
-    turned = there * phi[k] + record.spacing * (out * omega[:-1][k] + back * ending[k])
-    return rotation.exp(turned) @ R[:-1][k]
-
-
-def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Hermite weights of the end value, the initial rate and the end rate of a cubic that begins at 0."""
-    return 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2

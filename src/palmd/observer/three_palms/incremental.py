@@ -19,6 +19,7 @@ from palmd.config.pads import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
+from palmd.observer.smoothing import SimulatedSmoothingOfOne
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import FINER_ORDERS_LIVE, ORDER
@@ -330,28 +331,14 @@ def _unknown_answer(task: Task, record_start: float, reason: str) -> BodyAnswer:
     )  # fmt: skip
 
 
-class SimulatedIncrementalSmoother:
-    """Simulates a smoother that runs beside the loop: an answer comes a fixed time after its update was begun."""
+class SimulatedIncrementalSmoother(SimulatedSmoothingOfOne[BodyAnswer]):
+    """Simulates the smoother beside the loop, whose first answers take longer."""
 
     def __init__(self, rig: ThreePalmsRig) -> None:
-        self._smoother = IncrementalBodySmoother(rig)
-        self._ready: tuple[float, BodyAnswer | None] | None = None
-        self._known = False
+        smoother = IncrementalBodySmoother(rig)
+        super().__init__(smoother.add, smoother.answer, _latency_s)
 
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Add the tick's events, and begin an update if none is pending."""
-        self._smoother.add(events)
-        if self._ready is not None:
-            return
-        answer = self._smoother.answer()
-        if answer is not None:
-            known = bool(answer.hypotheses)
-            self._ready = (t + (LATENCY_S if known and self._known else FIRST_LATENCY_S), answer)
-            self._known = known
 
-    def collect(self, t: float) -> BodyAnswer | None:
-        """The answer whose latency has passed at `t` (s), once."""
-        if self._ready is None or t < self._ready[0]:
-            return None
-        answer, self._ready = self._ready[1], None
-        return answer
+def _latency_s(answer: BodyAnswer, before: BodyAnswer | None) -> float:
+    known = before is not None and before.hypotheses and answer.hypotheses
+    return LATENCY_S if known else FIRST_LATENCY_S

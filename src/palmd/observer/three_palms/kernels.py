@@ -74,11 +74,6 @@ def reading_geometry(palms: PalmPlanes, pad: npt.NDArray[np.int64]) -> FloatArra
     )
 
 
-def backend(order: int) -> str:
-    """What runs the kernels: "c" or "vm"."""
-    return three_palms.library(order).backend
-
-
 @cache
 def reading(order: int, law: VibrationLaw = "sign_pairs") -> BlockKernel:
     """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""

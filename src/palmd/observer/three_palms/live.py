@@ -15,10 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
+from palmd.model import three_palms
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
+from palmd.observer.observer_of_one import ObserverOfOne
 from palmd.observer.smoothing import SmoothingOfOne
-from palmd.observer.three_palms import body_filter, kernels
+from palmd.observer.three_palms import body_filter
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.joint_track import REPORT_GAIN, JointTrack
@@ -40,15 +42,13 @@ FORCE_SHARE = 0.03
 NORMALS_EVERY_S = 0.02  # how often it is kept where the palms touch the body
 
 
-class BodyObserver:
+class BodyObserver(ObserverOfOne[BodyAnswer]):
     """See the module and `observer.observer.LiveObserver`. Safe in the loop."""
 
     def __init__(self, rig: ThreePalmsRig, smoothing: SmoothingOfOne[BodyAnswer]) -> None:
         """`smoothing` estimates motion and shape; without its answers only the joints are estimated."""
-        self.name = NAME
-        self.object_count, self.late_dropped, self.improvements = 1, 0, 0
-        self._rig, self._smoothing = rig, smoothing
-        self._unsent: list[Event] = []
+        super().__init__(NAME, smoothing)
+        self._rig = rig
         self._joints: JointTrack | None = None
         self._pending: list[PlaneReading] = []  # not fused yet, by their times
         self._fused: list[PlaneReading] = []  # fused, by their times
@@ -64,14 +64,13 @@ class BodyObserver:
         self._frame, self._frame_of, self._turn = 0, -math.inf, np.eye(3)
         self._published_shape_of: BodyAnswer | None = None
         self._predictive = False
-        self._invalid_because = ""
         # normals in the body
         self._normals: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / NORMALS_EVERY_S))
 
     @property
     def backend(self) -> str:
         """What runs the kernels."""
-        return kernels.backend(ORDER)
+        return three_palms.library(ORDER).backend
 
     def warm_up(self) -> None:
         """Load the kernels and compute the surface's directions."""
@@ -96,13 +95,8 @@ class BodyObserver:
             self._take_reading(PlaneReading(t, event.pad - 1, event.across, event.s))
 
     def improve(self, t: float) -> BodyAnswer | None:
-        """Send events to the smoother beside the loop and take its answer; returns each answer once."""
-        events, self._unsent = self._unsent, []
-        self._smoothing.submit(t, events)
-        answer = self._smoothing.collect(t)
-        if answer is not None:
-            self.improvements += 1
-            self._take_answer(answer)
+        """As `ObserverOfOne.improve`, and fuse the readings."""
+        answer = super().improve(t)
         self._advance(t - FUSION_DELAY_S)
         return answer
 
@@ -151,20 +145,6 @@ class BodyObserver:
         """Whether the estimate, valid or not, is good enough for predictions."""
         return self._predictive
 
-    @property
-    def invalid_because(self) -> str:
-        """Reason of the last estimate; empty if it was valid."""
-        return self._invalid_because
-
-    def forget_object(self) -> bool:
-        """Not supported: returns False."""
-        return False
-
-    @property
-    def cornered(self) -> bool:
-        """Always False: only smooth objects are modelled."""
-        return False
-
     def planning_belief(self, t: float) -> BodyPlanningBelief | None:
         """Belief about the body at `t` (s) for planning; None if it is not good enough."""
         answer, filtered = self._answer, self._filter
@@ -177,10 +157,6 @@ class BodyObserver:
             now.R, now.omega, now.p, now.P, answer.touched > 0,
             np.array(normals_since).reshape(-1, len(PALMS), 3), self._frame, self._turn,
         )  # fmt: skip
-
-    def identify(self, t: float) -> None:
-        """Not supported: no bodies in space are stored."""
-        del t
 
     # ---- its parts ---------------------------------------------------------------------------------------
 

@@ -454,9 +454,7 @@ def hypothesis_of(task: Task, candidate: StartCandidate) -> BodyHypothesis:
     motion = replace(candidate.fit.motion, p=beliefs.with_order(candidate.fit.motion.p, ORDER))
     return refit(
         task,
-        BodyHypothesis(
-            prior, candidate.record, motion, prior, candidate.fit.cost, candidate.fit, merged=candidate.merged
-        ),
+        BodyHypothesis(prior, candidate.record, motion, prior, candidate.fit.cost, candidate.fit),
         15,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -53,41 +53,46 @@ class BodyReconstruction:
 
     converged: bool
     reason: str
-    chi2: float
-    directions: FloatArray
-    triangles: npt.NDArray[np.int64]
-    h: FloatArray | None
-    h_sd: FloatArray | None
-    touched: npt.NDArray[np.bool_] | None
-    points: FloatArray | None
-    coefficients: FloatArray | None
-    inertia: FloatArray | None
-    inertia_sd: FloatArray | None
-    mu: float
-    mu_sd: float
-    mass: float
-    mass_sd: float
-    t: FloatArray
-    R: FloatArray
-    omega: FloatArray
-    centre: FloatArray
-    contacts: FloatArray
-    seconds: float
+    chi2: float = math.nan
+    directions: FloatArray = field(default_factory=lambda: icosphere()[0])
+    triangles: npt.NDArray[np.int64] = field(default_factory=lambda: icosphere()[1])
+    h: FloatArray | None = None
+    h_sd: FloatArray | None = None
+    touched: npt.NDArray[np.bool_] | None = None
+    points: FloatArray | None = None
+    coefficients: FloatArray | None = None
+    inertia: FloatArray | None = None
+    inertia_sd: FloatArray | None = None
+    mu: float = math.nan
+    mu_sd: float = math.nan
+    mass: float = math.nan
+    mass_sd: float = math.nan
+    t: FloatArray = field(default_factory=lambda: np.zeros(0))
+    R: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    omega: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    centre: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    contacts: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    seconds: float = 0.0
 
 
 @one_thread()
 def reconstruct(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> BodyReconstruction:
     """Reconstruct from the longest stretch in which all three pads are touched. Never raises for bad readings."""
     started = time.perf_counter()
+    return replace(_reconstructed(path, readings, rig), seconds=time.perf_counter() - started)
+
+
+def _reconstructed(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> BodyReconstruction:
     start, end = longest_stretch(path, readings)
     if end - start < LEAST_S:
-        return _rejected(f"no {LEAST_S:g} s without a gap in the reports of a pad or the joints", started)
+        reason = f"no {LEAST_S:g} s without a gap in the reports of a pad or the joints"
+        return BodyReconstruction(False, reason)
     inside = readings.within(start, end)
     task = Task(path, inside, ContactCurves.smoothed(inside), rig, start, end, FINER_ORDERS)
     ended = ranked_hypotheses(task)
     if not ended:
-        return _rejected("no motion of a body explains the first readings", started)
-    return reconstruction_of(task, ended, started)
+        return BodyReconstruction(False, "no motion of a body explains the first readings")
+    return reconstruction_of(task, ended)
 
 
 def longest_stretch(path: JointPath, readings: PadReadings) -> tuple[float, float]:
@@ -106,18 +111,16 @@ def longest_stretch(path: JointPath, readings: PadReadings) -> tuple[float, floa
     return best_start, best_end
 
 
-def reconstruction_of(task: Task, ended: Sequence[BodyHypothesis], started: float) -> BodyReconstruction:
+def reconstruction_of(task: Task, ended: Sequence[BodyHypothesis]) -> BodyReconstruction:
     """Estimate of the best hypothesis, `ended[0]`, and whether it is accepted."""
     first = ended[0]
     fit, record, p = first.whole_fit, first.record, first.motion.p
     n = len(p) - BODY
     order = order_of(n)
-    directions, triangles = icosphere()
-    point_rows = outline_rows(order)[1]
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
-        return _rejected("the fit did not converge to a minimum", started, fit.chi2)
+        return BodyReconstruction(False, "the fit did not converge to a minimum", fit.chi2)
     p, hollow = first.made_convex(p, covariance)
     R, normals = fit.motion.R, first.touched_normals
     touched = directions_near(normals)
@@ -128,13 +131,12 @@ def reconstruction_of(task: Task, ended: Sequence[BodyHypothesis], started: floa
     inertia_p, inertia_p_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
         converged=not (reason := rejection_reason(task, ended, sd[touched], hollow)),
-        reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
+        reason=reason, chi2=fit.chi2,
         h=h, h_sd=sd, touched=touched, coefficients=p[:n],
-        points=draw_in(point_rows @ p[:n], directions, h),
+        points=draw_in(outline_rows(order)[1] @ p[:n], icosphere()[0], h),
         inertia=inertia_p, inertia_sd=inertia_p_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(order)(normals)[1] @ p[:n]).reshape(-1, 3, 3),
-        seconds=time.perf_counter() - started,
     )  # fmt: skip
 
 
@@ -235,11 +237,3 @@ def inertia_sd(p: FloatArray, covariance: FloatArray) -> FloatArray:
         slopes.append((moved[0] - moved[1]) / (2 * step))
     J = np.stack(slopes)
     return np.asarray(np.sqrt(np.einsum("aij,ab,bij->ij", J, covariance[np.ix_(index, index)], J)))
-
-
-def _rejected(reason: str, started: float, chi2: float = math.nan) -> BodyReconstruction:
-    none, nan = np.zeros((0, 3)), math.nan
-    return BodyReconstruction(
-        False, reason, chi2, *icosphere(), None, None, None, None, None, None, None, nan, nan, nan, nan,
-        np.zeros(0), np.zeros((0, 3, 3)), none, none, np.zeros((0, 3, 3)), time.perf_counter() - started,
-    )  # fmt: skip

@@ -34,7 +34,7 @@ class BodyRecord:
     """K + 1 nodes `spacing` apart from `start`, and S readings between them.
 
     node_palms (K + 1, 36), middle_palms (K, 36): the palms at the nodes and midway. Of each reading (S,): interval, its
-    interval; share, its position in it (0 to 1); slot, its number among the interval's readings. geometry: (S, 24).
+    interval; share, its position in it (0 to 1). geometry: (S, 24).
     """
 
     start: float
@@ -44,7 +44,6 @@ class BodyRecord:
     readings: PadReadings
     interval: Integers
     share: FloatArray
-    slot: Integers
     geometry: FloatArray
 
     @property
@@ -57,17 +56,12 @@ class BodyRecord:
         """How many numbers were read, two per reading."""
         return 2 * len(self.readings.t)
 
-    @property
-    def slots(self) -> int:
-        """Largest number of readings in an interval."""
-        return int(self.slot.max()) + 1 if len(self.slot) else 0
-
     def first(self, intervals: int) -> BodyRecord:
         """The first `intervals` of the record."""
         until = int(np.searchsorted(self.interval, intervals))
         own, theirs = self.readings, slice(until)
         readings = PadReadings(own.t[theirs], own.pad[theirs], own.value[theirs], own.force[theirs])
-        of_readings = (self.interval[theirs], self.share[theirs], self.slot[theirs], self.geometry[theirs])
+        of_readings = (self.interval[theirs], self.share[theirs], self.geometry[theirs])
         nodes, middles = self.node_palms[: intervals + 1], self.middle_palms[:intervals]
         return BodyRecord(self.start, self.spacing, nodes, middles, readings, *of_readings)
 
@@ -78,7 +72,6 @@ def lay_out(path: JointPath, readings: PadReadings, start: float, intervals: int
     middle: FloatArray = np.asarray(nodes[:-1] + spacing / 2, dtype=np.float64)
     inside = readings.within(start, nodes[-1])
     interval = np.minimum(((inside.t - start) / spacing).astype(np.int64), intervals - 1)
-    first = np.searchsorted(interval, interval)
     return BodyRecord(
         start,
         spacing,
@@ -87,6 +80,5 @@ def lay_out(path: JointPath, readings: PadReadings, start: float, intervals: int
         inside,
         interval,
         (inside.t - nodes[interval]) / spacing,
-        np.arange(len(interval)) - first,
         reading_geometry(path.palms(inside.t), inside.pad),
     )

@@ -10,12 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.model.spherical import Y00, count
 from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import StartAssumption
 from palmd.observer.three_palms.driven import ContactCurves, DrivenCourse, nearest_balls, smooth_course
-from palmd.observer.three_palms.equations import BodyMotion, Noise, at_readings
+from palmd.observer.three_palms.equations import BodyMotion, Noise
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import BodyRecord, PadReadings, lay_out
@@ -113,21 +114,17 @@ class Task:
         iterations: int,
     ) -> BodyFit:
         """Fit from `motion` with process noise of these `strengths` (spin, by_spin, turn), or the task's own."""
-        noise = self.noise if strengths is None else _with_strengths(self.noise, strengths)
+        noise = self.noise if strengths is None else Noise(self.noise.reading, *strengths)
         return BodySmoother(record, prior, noise, self.rig).fit(motion, iterations)
 
 
 @dataclass(frozen=True, slots=True)
 class StartCandidate:
-    """A fit of `record` from a blind start.
-
-    radius: of a ball through the contacts (m). merged: number of starts that led to the same fit.
-    """
+    """A fit of `record` from a blind start; radius: of a ball through the contacts (m)."""
 
     radius: float
     record: BodyRecord
     fit: BodyFit
-    merged: int = 1
 
     @property
     def cost_per_number(self) -> float:
@@ -151,9 +148,9 @@ def start_candidates(task: Task, seconds: float) -> list[StartCandidate]:
         found.append(
             StartCandidate(ball.radius, record, fit_blind_start(task, record, prior, task.contacts, ball, assumption))
         )
-    kept = [each for each in merged(found) if each.cost_per_number < HOPELESS_COST]
+    kept = [each for each in _distinct(found) if each.cost_per_number < HOPELESS_COST]
     kept = [each for each in kept if each.fit.cost < kept[0].fit.cost + START_PRUNE_COST][:MOST_CANDIDATES]
-    return merged([replace(each, fit=task.fit_with(record, prior, None, each.fit.motion, 25)) for each in kept])
+    return _distinct([replace(each, fit=task.fit_with(record, prior, None, each.fit.motion, 25)) for each in kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,13 +221,11 @@ def graduated_fit(task: Task, record: BodyRecord, prior: BodyPrior, motion: Body
     return task.fit_with(record, prior, LOOSE_NOISE[1], motion, STEPS)
 
 
-def merged(found: Sequence[StartCandidate]) -> list[StartCandidate]:
-    """Sort candidates by cost, and merge those with the same cost."""
+def _distinct(found: Sequence[StartCandidate]) -> list[StartCandidate]:
+    """Sort candidates by cost, and drop those with the same cost as the one before."""
     kept: list[StartCandidate] = []
     for each in sorted(found, key=lambda each: each.fit.cost):
-        if kept and each.fit.cost - kept[-1].fit.cost < SAME_COST:
-            kept[-1] = replace(kept[-1], merged=kept[-1].merged + each.merged)
-        else:
+        if not kept or each.fit.cost - kept[-1].fit.cost >= SAME_COST:
             kept.append(each)
     return kept
 
@@ -243,7 +238,7 @@ def initial_motion(record: BodyRecord, driven: DrivenCourse, prior: BodyPrior, r
     order = int(math.sqrt(len(p) - 9)) - 1
     n = count(order)
     p[-3], p[-2], p[-1] = driven.constants[1], math.exp(driven.constants[2]), driven.constants[3]
-    turned = at_readings(record, R, omega)
+    turned = _at_readings(record, R, omega)
     rows = (
         kernels.reading(order)((by_columns(turned), record.geometry), (np.zeros(n),))[2].reshape(-1, n)
         / FIRST_OUTLINE_SD_M
@@ -254,6 +249,11 @@ def initial_motion(record: BodyRecord, driven: DrivenCourse, prior: BodyPrior, r
     return BodyMotion(R, omega, p)
 
 
-def _with_strengths(noise: Noise, strengths: tuple[float, float, float]) -> Noise:
-    spin, by_spin, turn = strengths
-    return replace(noise, spin=spin, by_spin=by_spin, turn=turn)
+def _at_readings(record: BodyRecord, R: FloatArray, omega: FloatArray) -> FloatArray:
+    """(S, 3, 3) rotations at the readings' times, interpolated by cubics between nodes R, omega (K + 1, …)."""
+    phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
+    ending = omega[1:] - 0.5 * np.cross(phi, omega[1:])  # rate of the rotation vector at the interval's end
+    k, share = record.interval, record.share[:, None]
+    there, out, back = 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2
+    turned = there * phi[k] + record.spacing * (out * omega[:-1][k] + back * ending[k])
+    return rotation.exp(turned) @ R[:-1][k]

@@ -7,7 +7,7 @@ initial guess stays bounded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,7 +62,6 @@ class BodyFit:
     chi2: float
     force: FloatArray
     arrow: Arrow
-    iterations: int
 
 
 class BodySmoother:
@@ -82,15 +81,15 @@ class BodySmoother:
         sums.arrow.add_prior(prior.information[known, known], (prior.information @ error)[known])
         cost = sums.squares + float(error @ prior.information @ error)
         chi2 = float((sums.residual**2).mean()) / self._reading_sd**2
-        return BodyFit(motion, cost, chi2, sums.force, sums.arrow, 0)
+        return BodyFit(motion, cost, chi2, sums.force, sums.arrow)
 
-    def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = DAMPING) -> BodyFit:
+    def fit(self, guess: BodyMotion, iterations: int = 30) -> BodyFit:
         """Iterate from `guess` to a minimum, or for at most `iterations` evaluations.
 
         Damping follows the ratio of actual to predicted decrease (Nielsen 1999).
         """
-        best, raised = self.evaluate(guess), 2.0
-        for number in range(iterations):
+        best, damping, raised = self.evaluate(guess), DAMPING, 2.0
+        for _ in range(iterations):
             try:
                 nodes, step = best.arrow.solve(damping)
             except np.linalg.LinAlgError:
@@ -105,7 +104,7 @@ class BodySmoother:
             trial = self.evaluate(best.motion.moved(scale * nodes, scale * step))
             ratio = (best.cost - trial.cost) / predicted
             if ratio > 0.0:
-                best, raised = replace(trial, iterations=number + 1), 2.0
+                best, raised = trial, 2.0
                 damping = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING)
             else:
                 damping, raised = damping * raised, 2.0 * raised
