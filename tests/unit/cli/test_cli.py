@@ -13,7 +13,7 @@ import pytest
 
 import palmd
 from palmd import cli
-from palmd.cli.table import COMMANDS, RENAMED, load_module, subcommands
+from palmd.cli.table import COMMANDS, RENAMED, SHORT, load_module, subcommands
 from palmd.console.errors import CliError
 from palmd.console.extras import install_line
 from palmd.console.progress import Progress, working
@@ -122,8 +122,17 @@ def test_a_command_that_is_a_study_now_names_where_it_is(argv, place, capsys):
     assert error.endswith(f"{place}\n")
 
 
+@pytest.mark.parametrize(("short", "full"), SHORT.items())
+def test_a_short_name_works_and_is_not_listed(short, full, capsys):
+    assert usage(short, "--help") == 0
+    shown = capsys.readouterr()
+    assert shown.out.startswith(f"usage: palmd {full} ")
+    assert shown.err == ""
+    assert short not in subcommands()
+
+
 def test_few_commands_are_listed():
-    assert len(subcommands()) <= 25  # with bundle, compare, capture
+    assert len(subcommands()) <= 22
     assert all(len(each.help) <= 100 for each in COMMANDS)
 
 

@@ -43,7 +43,7 @@ MISTAKES = {
         "ctl jog --phi1-deg one", 2, "palmd ctl jog: error: argument --phi1-deg: must be a number, got 'one'"
     ),
     "a seed that is none": Mistake(
-        "rig --seed x", 2, "palmd rig: error: argument --seed: must be a whole number, got 'x'"
+        "rig --seed x", 2, "palmd demo rig: error: argument --seed: must be a whole number, got 'x'"
     ),
     "per cent for a share": Mistake(
         "ctl explore --coverage 95",
