@@ -64,7 +64,7 @@ def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monk
         raise ModuleNotFoundError(name="matplotlib")
 
     monkeypatch.setattr(importlib, "import_module", not_there)
-    assert main(["paper"]) == BAD_INPUT
+    assert main(["montecarlo"]) == BAD_INPUT
     assert install_line("matplotlib", "studies") in capsys.readouterr().err
 
 

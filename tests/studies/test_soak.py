@@ -8,13 +8,14 @@ import pytest
 from palmd.record.recheck import CheckedTick, Difference
 from palmd.record.run import Survey
 from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
+from tools.studies.harness import as_line
 from tools.studies.soak_fault_injection import QUIET_S, InjectedFault, Visitor, draw
 from tools.studies.soak_findings import (
     Numbers,
     ProcessSeries,
     Second,
+    SoakWatch,
     all_met,
-    as_line,
     at_most,
     between,
     leaks,
@@ -26,7 +27,6 @@ from tools.studies.soak_findings import (
     table,
     without_goal,
 )  # fmt: skip
-from tools.studies.soak_watch import Process, SoakWatch
 
 HOUR_S = 3600.0
 
@@ -209,5 +209,5 @@ def test_the_watch_sees_gaps_and_keeps_the_last_state_and_samples():
     watch.take(Heard("palm/loop", 5.0, 0, ticks=500, overruns=2, lateness_ms=[0.1]))
     assert watch.seconds == [Second(5.0, 500, 2, (0.1,))]
     assert watch.t_loop == 5.0
-    watch.sample("daemon", 1.0, Process(70.0, 9, 3))
+    watch.sample("daemon", 1.0, 70.0, 9, 3)
     assert watch.processes["daemon"] == ProcessSeries([1.0], [70.0], [9], [3])

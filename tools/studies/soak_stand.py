@@ -26,7 +26,7 @@ from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
 from palmd.view.http_guard import SOCKET
 from tools.studies.soak_fault_injection import Act, InjectedFault, OperatorCommand, Visitor
-from tools.studies.soak_watch import Process, SoakWatch
+from tools.studies.soak_findings import SoakWatch
 
 PATIENCE_S = 40.0  # longest time to a requested state
 STOPPED_S = 2.0  # longest time to a stop
@@ -132,8 +132,9 @@ class SoakStand:
             for name, number in self._processes().items():
                 sample = _sampled(number)
                 if sample is not None:
-                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else sample.rss_mb
-                    self.watch.sample(name, t, Process(rss_mb, sample.descriptors, sample.threads))
+                    rss_mb, descriptors, threads = sample
+                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else rss_mb
+                    self.watch.sample(name, t, rss_mb, descriptors, threads)
 
     def _processes(self) -> dict[str, int]:
         """Process ids of the children and of the daemon's helpers, by name."""
@@ -268,8 +269,8 @@ class SoakStand:
             shutil.copy(path, folder)
 
 
-def _sampled(number: int) -> Process | None:
-    """Resources of a process; None if it has ended."""
+def _sampled(number: int) -> tuple[float, int, int] | None:
+    """Resident memory (MB), open descriptors and threads of a process; None if it has ended."""
     try:
         lines = Path(f"/proc/{number}/status").read_text(encoding="utf-8").splitlines()
         descriptors = len(list(Path(f"/proc/{number}/fd").iterdir()))
@@ -278,4 +279,4 @@ def _sampled(number: int) -> Process | None:
     fields = dict(line.split(":", 1) for line in lines if ":" in line)
     if "VmRSS" not in fields:
         return None
-    return Process(int(fields["VmRSS"].split()[0]) * 1.024e-3, descriptors, int(fields["Threads"]))
+    return int(fields["VmRSS"].split()[0]) * 1.024e-3, descriptors, int(fields["Threads"])

@@ -33,7 +33,9 @@ COMMANDS = (
     Command("top", "cli.top", "show the live status of a running daemon in this terminal"),
     Command("view", "cli.view", "serve the live page of a running daemon to browsers on this machine"),
     Command("record", "cli.record", "record what a daemon publishes, one file a run"),
-    Command("record capture", "cli.capture", "make the first recording of a rig, guided: check, calibrate, record, bundle"),
+    Command(
+        "record capture", "cli.capture", "make the first recording of a rig, guided: check, calibrate, record, bundle"
+    ),
     Command("record bundle", "cli.bundle", "pack a recorded run, versions and findings for a bug report"),
     Command("runs", "cli.runs", "list, search and compare recordings"),
     Command("runs compare", "cli.compare", "compare runs with each other, with the truth or with an external track"),
@@ -119,7 +121,7 @@ _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 MOVED = {
     "bench": f"{_STUDY} NAME",
     "observability": "this study is finished; its results are in docs/theory/paper.md",
-    "report paper": f"{_STUDY} paper",
+    "report paper": "this study is finished; its results are in docs/theory/paper.md",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }
 """Messages for former commands that are studies now; NAME is replaced by the next word."""
