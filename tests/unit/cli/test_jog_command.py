@@ -9,14 +9,14 @@ import threading
 import time
 
 import pytest
+from bus_daemon import bus_daemon
 
 from palmd.cli import jog, main
 from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, DeadMansSwitch, line
 from palmd.config.two_palms import LimitsConfig
-from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
 from palmd.daemon.jog import DEAD_MAN_S, RATE
-from palmd.topics import TOPICS
+from palmd.quantities import MOTION
 
 RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
 
@@ -89,33 +89,20 @@ def test_the_line_stays_one_line_and_shows_a_refusal_first_and_no_nan():
     assert nan == nothing
 
 
-def test_without_a_terminal_it_says_what_else_there_is(capsys):
-    assert main(["jog"]) == 1
-    assert "palmd ctl jog" in capsys.readouterr().err
-
-
 @contextlib.contextmanager
 def daemon(folder, refusing=()):
     """A daemon's bus that publishes a motion and grants what it is not to refuse; collects the commands."""
-    bus = Bus(f"ipc://{folder}/publish", f"ipc://{folder}/command")
-    asked, over = [], threading.Event()
+    asked = []
 
-    def serve():
-        motion = next(topic for topic in TOPICS if topic.name == "palm/motion")
-        while not over.wait(0.005):
-            for request in bus.receive():
-                asked.append((request.name, request.args, time.monotonic()))
-                bus.reply(Reply(request, "not now" if request.name in refusing else None, {}))
-            bus.publish(motion, {"phi1_rad": 0.5, "phi2_rad": 1.5}, time.monotonic(), time.time())
+    def answer(request):
+        asked.append((request.name, request.args, time.monotonic()))
+        return Reply(request, "not now" if request.name in refusing else None, {})
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    def motion(bus):
+        bus.publish(MOTION, {"phi1_rad": 0.5, "phi2_rad": 1.5}, time.monotonic(), time.time())
+
+    with bus_daemon(folder, answer, motion):
         yield asked
-    finally:
-        over.set()
-        thread.join()
-        bus.close()
 
 
 @contextlib.contextmanager
