@@ -33,7 +33,7 @@ from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import count, seed
 from palmd.console.configured import configured, default_path
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
 from palmd.harness.operator import PlanRun, Status, why
@@ -105,10 +105,8 @@ def _plan(path: Path | None, config: Config) -> Path:
     """Return the plan, which must end and be within the limits; else CliError."""
     if path is None:
         raise CliError(BAD_INPUT, "the configuration names no plan: give one with --plan")
-    try:
+    with as_cli_error(ConfigError):
         load_trajectory(path, motion_limits(config))
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if _read(path).get("repeat") == "forever":
         raise CliError(BAD_INPUT, f"{path}: repeats forever: a capture needs a plan that ends")
     return path

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from palmd import observer
-from palmd.cli.logs import add_calibration_argument, open_output, read_any
-from palmd.cli.outlines import read_outlines
+from palmd.cli.logs import add_calibration_argument, open_output, read_any, read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
 from palmd.record.replay import texts

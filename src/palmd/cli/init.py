@@ -9,6 +9,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,18 +52,13 @@ def number(low: float, high: float) -> Callable[[str], float]:
     """Reader of a number within a range."""
 
     def read(answer: str) -> float:
-        value = float(answer)
-        if not low <= value <= high:
-            raise ValueError
-        return value
+        with suppress(ValueError):
+            value = float(answer)
+            if low <= value <= high:
+                return value
+        raise ValueError(f"a number from {low:g} to {high:g}")
 
-    def checked(answer: str) -> float:
-        try:
-            return read(answer)
-        except ValueError:
-            raise ValueError(f"a number from {low:g} to {high:g}") from None
-
-    return checked
+    return read
 
 
 def whole(*allowed: int) -> Callable[[str], int]:

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from palmd.bus.link import PUBLISH
 from palmd.config.addresses import LocalAddress
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, as_cli_error
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
@@ -57,14 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Publish or check the run; return 1 if a check finds a difference. CliError for an invalid run."""
-    try:
+    with as_cli_error(RunError, RepublishError):
         recording = read_any_run(arguments.run)
         print_notes(recording.notes)
         if arguments.check:
             return _check(recording)
         _publish(recording, arguments.publish, arguments.speed, arguments.frames, loop=arguments.loop)
-    except (RunError, RepublishError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     return 0
 
 
