@@ -184,15 +184,6 @@ def test_standard_output_and_notes(simulated, tmp_path, capsys):
     assert "is truncated" in err
 
 
-def test_an_output_that_cannot_be_written_is_one_clear_line(simulated, tmp_path, capsys):
-    nowhere = tmp_path / "no" / "out.jsonl"
-    for out, told in ((nowhere, "cannot be written: No such file"), (simulated, "is the log itself")):
-        assert main(["estimate", str(simulated), "-o", str(out)]) == 1
-        err = capsys.readouterr().err
-        assert told in err
-        assert err.count("\n") == 1
-
-
 def test_the_quasistatic_observer_tells_the_errors_that_the_paper_observes(tmp_path):
     lines, _ = simulate_log("friction", 405, 4.0)
     log, out = tmp_path / "run.jsonl", tmp_path / "out.jsonl"

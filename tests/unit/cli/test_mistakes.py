@@ -42,6 +42,11 @@ MISTAKES = (
      "unknown fault 'explode'; known: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, "
      "power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, "
      "overflow"),
+    ("rig --seed -1", 1, "--seed must not be negative, got -1"),
+    ("rig nowhere.yaml", 1, "nowhere.yaml:1:1: no such file"),
+    ("rig my.yaml", 1, "my.yaml:3:6: arm: kind adept needs hinge: arc, but rig.hinge is fixed",
+     {"my.yaml": "rig: {hinge: fixed}\n" + PORTS}),
+    ("rig --ports notes.txt/new", 1, "--ports: notes.txt/new: Not a directory", {"notes.txt": "hello\n"}),
     ("rig --ports notes.txt", 1, "--ports: notes.txt is not a folder", {"notes.txt": "hello\n"}),
     ("top --once --address localhost:9872", 1,
      "localhost:9872: not an address (Invalid argument); one looks like tcp://127.0.0.1:9872"),
