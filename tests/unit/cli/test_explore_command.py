@@ -157,16 +157,6 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("explored 50% of the 90%")
 
 
-@pytest.mark.parametrize(
-    "wrong", [("--coverage", "1.2"), ("--coverage", "0"), ("--seconds", "nan"), ("--band-mm", "-1")]
-)
-def test_usage(wrong, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["ctl", "explore", *wrong])
-    assert caught.value.code == 2
-    assert "must be more than 0" in capsys.readouterr().err
-
-
 def test_what_is_told_before_anything_is_known():
     status = {"state": "tracking", "explored": {"coverage": None, "reachable": None, "reason": "rocks the object"}}
     assert progress(status, 2.0, float("nan")).endswith("touched nothing yet  largest sd not known  rocks the object")

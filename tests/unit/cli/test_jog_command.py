@@ -21,10 +21,6 @@ from palmd.quantities import MOTION
 RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
 
 
-def test_nothing_moves_without_a_key():
-    assert DeadMansSwitch().step(0.0) is None
-
-
 @pytest.mark.parametrize(("key", "phi1", "phi2"), [(RIGHT, 1, 0), (LEFT, -1, 0), (UP, 0, 1), (DOWN, 0, -1),
                                                    (b"\x1bOC", 1, 0)])  # fmt: skip
 def test_arrows(key, phi1, phi2):
@@ -35,6 +31,7 @@ def test_arrows(key, phi1, phi2):
 
 def test_letting_go_stops():
     handle = DeadMansSwitch()
+    assert handle.step(0.0) is None
     handle.pressed(RIGHT * 3, 1.0)
     assert handle.step(1.0 + HELD_S - 1e-3) is not None
     assert handle.step(1.0 + HELD_S + 1e-3) is None
@@ -61,13 +58,8 @@ def test_steps_are_such_that_the_daemon_takes_them_and_goes_on():
 
 
 def test_the_line_shows_angles_limits_and_what_is_wrong():
-    text = line(
-        {"phi1_rad": 0.5, "phi2_rad": 1.5},
-        {"state": "hold", "faults": ["pad1-lifted"]},
-        LimitsConfig(),
-        "",
-        100,
-    )
+    motion, state = {"phi1_rad": 0.5, "phi2_rad": 1.5}, {"state": "hold", "faults": ["pad1-lifted"]}
+    text = line(motion, state, LimitsConfig(), "", 100)
     assert text == "phi1  28.6° (6 to 150)  phi2  85.9° (35 to 155)  hold  pad1-lifted"
 
 

@@ -34,6 +34,10 @@ MISTAKES = (
     ("ctl explore --coverage 95", 2,
      "palmd ctl explore: error: argument --coverage: must be more than 0 and at most 1, got 95; did you mean a "
      "share of 1, such as 0.95?"),
+    ("ctl explore --seconds nan", 2,
+     "palmd ctl explore: error: argument --seconds: must be more than 0 and at most 3600, got nan"),
+    ("ctl explore --band-mm -1", 2,
+     "palmd ctl explore: error: argument --band-mm: must be more than 0 and at most 10, got -1"),
     ("estimate run.jsonl -o out.jsonl --observer kalman", 2,
      "palmd estimate: error: argument --observer: there is no observer 'kalman'; choose from shape, extended, "
      "quasistatic"),
