@@ -27,19 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add, default = parser.add_argument, ExploreGoal()
     add("--coverage", type=_share, default=default.coverage, metavar="SHARE",
         help="share of the reachable normals at which it ends (default: %(default)s)")  # fmt: skip
-    add(
-        "--band-mm",
-        type=_band,
-        metavar="MM",
-        help="also require that the outline's standard deviation is below this at all of them",
-    )
-    add(
-        "--seconds",
-        type=_seconds,
-        default=default.time_limit_s,
-        metavar="S",
-        help="time limit in s (default: %(default)g)",
-    )
+    add("--band-mm", type=_band, metavar="MM",
+        help="also require that the outline's standard deviation is below this at all of them")  # fmt: skip
+    add("--seconds", type=_seconds, default=default.time_limit_s, metavar="S",
+        help="time limit in s (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
     add_config(parser)

@@ -26,14 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), or a RESULT.json")
     parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE|FOLDER",
+        "-o", "--output", type=Path, required=True, metavar="FILE|FOLDER",
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
         "with --as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
-    )
+    )  # fmt: skip
     parser.add_argument("--as", dest="form", choices=FORMATS, help="the format, if the name does not determine it")
 
 

@@ -29,13 +29,9 @@ STDOUT = Path("-")
 def add_calibration_argument(parser: argparse.ArgumentParser) -> None:
     """Add the argument that replaces the log's standard deviations of the rig's constants."""
     parser.add_argument(
-        "--calibration-sd",
-        type=_calibration_sd,
-        nargs="+",
-        default=[],
-        metavar="KEY=VALUE",
+        "--calibration-sd", type=_calibration_sd, nargs="+", default=[], metavar="KEY=VALUE",
         help=f"standard deviations of the rig's constants, instead of the log's: {', '.join(_names())}",
-    )
+    )  # fmt: skip
 
 
 def _names() -> dict[str, str]:

@@ -38,11 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration, palmd.yaml")
     parser.add_argument(
-        "--key",
-        type=Path,
-        metavar="FILE",
+        "--key", type=Path, metavar="FILE",
         help="secret key with role operate, for a daemon with keys (default: the daemon's own, from its bus.keys)",
-    )
+    )  # fmt: skip
     parser.add_argument("--truth", metavar="ADDRESS", help="address at which an emulated rig publishes its truth")
 
 

@@ -25,12 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="the recording (.mcap)")
     parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
+        "-o", "--output", type=Path, metavar="FILE",
         help="output; default: in place of RUN, or RUN.recovered.mcap if a part of RUN cannot be read",
-    )
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:

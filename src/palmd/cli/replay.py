@@ -32,27 +32,19 @@ MAX_BROKEN_SHOWN = 10
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
-    parser.add_argument(
-        "--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)"
-    )
-    parser.add_argument(
-        "--publish",
-        type=_address,
-        default=PUBLISH,
-        metavar="ADDRESS",
-        help="address to publish at (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--frames", type=int, choices=FRAMES, default=3, help="frames of each message; 2 omits the time (default: 3)"
-    )
+    add = parser.add_argument
+    add("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
+    add("--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)")
+    add("--publish", type=_address, default=PUBLISH, metavar="ADDRESS",
+        help="address to publish at (default: %(default)s)")  # fmt: skip
+    add("--frames", type=int, choices=FRAMES, default=3,
+        help="frames of each message; 2 omits the time (default: 3)")  # fmt: skip
     either = parser.add_mutually_exclusive_group()
     either.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     either.add_argument(
-        "--check",
-        action="store_true",
+        "--check", action="store_true",
         help="compare with the observer's present estimates, and check the lifecycle's rules",
-    )
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -24,11 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), finished or not")
     parser.add_argument(
-        "--at",
-        type=_time,
-        metavar="T",
+        "--at", type=_time, metavar="T",
         help="time in s since the first message, as in reports (default: the last hold or stop by a fault)",
-    )
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
