@@ -13,7 +13,7 @@ import layouts
 import shell_files
 
 from palmd.cli.table import COMMANDS as TABLE
-from palmd.cli.table import Command, description, load_module, parser_of
+from palmd.cli.table import Command, load_module, parser_of
 from palmd.config.plans import ExploreSpec, HoldSpec
 from palmd.config.two_palms import Config, MoveSpec, PlanSpec, RateSpec, SineSpec
 from palmd.daemon import lifecycle
@@ -88,7 +88,7 @@ def _arguments(spec: CommandSpec) -> str:
 def command_line() -> str:
     own = [each for each in TABLE if each.module]
     rows = [(f"[`palmd {c.name}`](#palmd-{c.name.replace(' ', '-')})" if c in own else f"`palmd {c.name}`",
-             description(c)) for c in TABLE]  # fmt: skip
+             c.help) for c in TABLE]  # fmt: skip
     parts = [
         "# Commands\n\nAs shown by `palmd COMMAND --help`. Exit status: 0 success, 1 the input is wrong, 2 usage, "
         "3 the rig failed.\n\n",

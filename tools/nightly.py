@@ -19,7 +19,6 @@ CAMPAIGNS: dict[str, str] = {
     "sbc": "sbc --runs 20 --seed {seed} -o {folder}/sbc.jsonl",
     "off": "off --runs 1 --seed {seed} -o {folder}/off.jsonl",
     "explore": "explore --runs 1 --seed {seed} -o {folder}/explore",
-    "curved": "curved --runs 6 --seed {seed} -o {folder}/curved.jsonl",
     "pivot": "pivot --runs 10 --seed {seed} -o {folder}/pivot.jsonl",
     "pivot-live": "pivot --live --runs 3 --seed {seed} -o {folder}/pivot-live.jsonl",
     "space": "space --runs 2 --seed {seed} -o {folder}/space.jsonl",

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from palmd import api
-from palmd.cli.table import COMMANDS, RENAMED, load_module, parser_of
+from palmd.cli.table import COMMANDS, RENAMED, SHORT, load_module, parser_of
 from palmd.config.fields import Strict
 from palmd.daemon.commands import COMMANDS as REQUESTS
 from palmd.quantities import STAMP
@@ -29,6 +29,7 @@ STORED = Path(__file__).parent.parent / "tests/data/promises.json"
 
 def promised() -> dict[str, Any]:
     """The interfaces in the present code."""
+    commands = {command.name: sorted(_options(command)) for command in COMMANDS if command.module}
     return {
         "fields of every message": [quantity.name for quantity in STAMP],
         "topics": {
@@ -36,7 +37,7 @@ def promised() -> dict[str, Any]:
             for topic in (*TOPICS, *RIG_TOPICS)
         },
         "requests": {name: [each.name for each in spec.arguments] for name, spec in REQUESTS.items()},
-        "commands": {command.name: sorted(_options(command)) for command in COMMANDS if command.module},
+        "commands": commands | {short: commands[name] for short, name in SHORT.items()},
         "former commands": dict(RENAMED),
         "configuration": {name: sorted({*_keys(load_part(live.config))}) for name, live in LIVE.items()},
         "api": {name: _parameters(getattr(api, name)) for name in sorted(api.__all__)},

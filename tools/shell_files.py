@@ -8,7 +8,7 @@ from pathlib import Path
 
 import shtab
 
-from palmd.cli.table import COMMANDS, Command, description, load_module, parser_of, subcommands
+from palmd.cli.table import COMMANDS, Command, load_module, parser_of, subcommands
 
 SHELLS = {"bash": "config/shell/palmd.bash", "zsh": "config/shell/palmd.zsh"}
 MANUAL = "config/shell/palmd.1"
@@ -25,9 +25,7 @@ def whole() -> argparse.ArgumentParser:
 def _add(parser: argparse.ArgumentParser, name: str) -> None:
     choices = parser.add_subparsers()
     for word, command in subcommands(name).items():
-        chosen = choices.add_parser(
-            word, help=_one_line(description(command)), description=_one_line(description(command))
-        )
+        chosen = choices.add_parser(word, help=command.help, description=command.help)
         if command.module is None:
             _add(chosen, command.name)
         else:
@@ -54,7 +52,7 @@ def _beside(parser: argparse.ArgumentParser, names: Mapping[str, Command]) -> No
     place = next((action for action in parser._actions if not action.option_strings), None) or parser.add_subparsers()
     for word, command in names.items():
         if isinstance(place, argparse._SubParsersAction):
-            chosen = place.add_parser(word, help=description(command), description=description(command))
+            chosen = place.add_parser(word, help=command.help, description=command.help)
             load_module(command).add_arguments(chosen)
             _files(chosen)
         else:
@@ -100,7 +98,7 @@ def manual() -> str:
 def _command(command: Command) -> Iterator[str]:
     module = load_module(command)
     yield f".SS palmd {command.name}"
-    yield _troff((module.__doc__ or description(command)).strip().replace("\n\n", "\n.PP\n"))
+    yield _troff((module.__doc__ or command.help).strip().replace("\n\n", "\n.PP\n"))
     yield from _arguments(parser_of(command, module))
 
 

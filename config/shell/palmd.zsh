@@ -10,11 +10,8 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bundle:'pack a recorded run, versions and findings for a bug report'
-    calibrate:'measure values for the configuration: pad, arm, gravity, pads, standoff, force, curvature, height, vibration, self'
-    capture:'make the first recording of a rig, guided: check, calibrate, record, bundle'
+    calibrate:'measure values for the configuration'
     check:'validate configurations and motion plans'
-    compare:'compare runs with each other, with the truth or with an external track'
     ctl:'command a running daemon'
     demo:'run an emulated rig and the daemon on an unknown object'
     doctor:'find what is missing or misconfigured, and test the arm and the pads'
@@ -29,7 +26,6 @@ _shtab_palmd_commands() {
     record:'record what a daemon publishes, one file a run'
     replay:'publish a recorded run again, or check that the observer repeats its estimates'
     report:'make a page or PDF of a recorded run'
-    rig:'run the emulated rig alone, its ports on pseudo-terminals'
     run:'run the daemon'
     runs:'list, search and compare recordings'
     top:'show the live status of a running daemon in this terminal'
@@ -72,6 +68,13 @@ _shtab_palmd_ctl_commands() {
   _describe 'palmd ctl commands' _commands
 }
 
+_shtab_palmd_demo_commands() {
+  local _commands=(
+    rig:'run the emulated rig alone, its ports on pseudo-terminals'
+  )
+  _describe 'palmd demo commands' _commands
+}
+
 _shtab_palmd_install_commands() {
   local _commands=(
     completion:'print the shell completion script'
@@ -105,16 +108,6 @@ _shtab_palmd_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_defaults_added=0
-
-_shtab_palmd_bundle_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--config[the configuration (default\: from the recording)]:FILE:_files"
-  {-o,--output}"[default\: RUN\'s name with .zip, here]:FILE:_files"
-  ":a recording (MCAP) or an event log:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bundle_defaults_added=0
 
 _shtab_palmd_calibrate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -242,20 +235,6 @@ _shtab_palmd_calibrate_vibration_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_vibration_defaults_added=0
 
-_shtab_palmd_capture_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[a new folder (default\: capture-DATE-TIME here)]:BUNDLE:_files"
-  "--plan[motion plan for each object (default\: the configuration\'s)]:PLAN:_files"
-  "--objects[number of objects to record (default\: 3)]:N:"
-  "--zip[also pack the bundle into BUNDLE.zip]"
-  "--emulated[use an emulated rig, which answers the prompts\; its truth replaces the calipers]"
-  "--seed[seed of the emulated rig (default\: 0)]:N:"
-  ":the rig\'s configuration (default\: the installed one):_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_capture_defaults_added=0
-
 _shtab_palmd_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--json[print the errors as one JSON map]"
@@ -265,17 +244,6 @@ _shtab_palmd_check_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_check_defaults_added=0
-
-_shtab_palmd_compare_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--reference[reference for all comparisons]:FILE:_files"
-  {-o,--output}"[write all results as JSON\; - for standard output]:FILE.json:_files"
-  "--figure[errors over time and outlines (.svg, .png, .pdf)]:FILE.svg:_files"
-  "(*):recordings, results and tracks:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_compare_defaults_added=0
 
 _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -442,6 +410,25 @@ _shtab_palmd_demo_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_demo_defaults_added=0
+
+_shtab_palmd_demo_rig_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--seed[seed of object, pads and noise\; default\: a random one, printed]:seed:"
+  "--kind[kind of object (default\: rig\; with MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
+  "--physics[what moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, for ellipses (default\: palmd)]:physics:(palmd mujoco)"
+  "--marble[a marble rolls over this pad\; there is no other object]:marble:(1 2 both)"
+  "*--cylinder[the object is this solid cylinder\; repeat for the ones it is exchanged for]:RADIUS_MM,MASS_G:"
+  "--roller[it rolls down the gentler palm\; there is no other object]:roller:(ball cylinder)"
+  "--by-hand[manual mode\: a hand swings the empty palms]"
+  "*--mischief[inject a fault\; may be repeated\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "--uinput[emulate input devices by the kernel\'s uinput\; a desktop receives their events until palmd opens them]"
+  "--ports[folder of its ports, created if needed\; default\: a temporary one]:FOLDER:_files"
+  "--sockets[serial ports are UNIX sockets, which a busy machine does not delay]"
+  ":palmd.yaml\; default\: as shipped:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_demo_rig_defaults_added=0
 
 _shtab_palmd_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -628,25 +615,6 @@ _shtab_palmd_report_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_report_defaults_added=0
 
-_shtab_palmd_rig_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seed[seed of object, pads and noise\; default\: a random one, printed]:seed:"
-  "--kind[kind of object (default\: rig\; with MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
-  "--physics[what moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, for ellipses (default\: palmd)]:physics:(palmd mujoco)"
-  "--marble[a marble rolls over this pad\; there is no other object]:marble:(1 2 both)"
-  "*--cylinder[the object is this solid cylinder\; repeat for the ones it is exchanged for]:RADIUS_MM,MASS_G:"
-  "--roller[it rolls down the gentler palm\; there is no other object]:roller:(ball cylinder)"
-  "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[inject a fault\; may be repeated\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
-  "--uinput[emulate input devices by the kernel\'s uinput\; a desktop receives their events until palmd opens them]"
-  "--ports[folder of its ports, created if needed\; default\: a temporary one]:FOLDER:_files"
-  "--sockets[serial ports are UNIX sockets, which a busy machine does not delay]"
-  ":palmd.yaml\; default\: as shipped:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_rig_defaults_added=0
-
 _shtab_palmd_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--no-record[do not start a recorder]"
@@ -726,13 +694,10 @@ _shtab_palmd() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_palmd-$line[1]:"
       case $line[1] in
-        bundle) _arguments -C -s $_shtab_palmd_bundle_options ;;
         calibrate) _shtab_palmd_calibrate ;;
-        capture) _arguments -C -s $_shtab_palmd_capture_options ;;
         check) _arguments -C -s $_shtab_palmd_check_options ;;
-        compare) _arguments -C -s $_shtab_palmd_compare_options ;;
         ctl) _shtab_palmd_ctl ;;
-        demo) _arguments -C -s $_shtab_palmd_demo_options ;;
+        demo) _shtab_palmd_demo ;;
         doctor) _arguments -C -s $_shtab_palmd_doctor_options ;;
         estimate) _arguments -C -s $_shtab_palmd_estimate_options ;;
         export) _arguments -C -s $_shtab_palmd_export_options ;;
@@ -745,7 +710,6 @@ _shtab_palmd() {
         record) _arguments -C -s $_shtab_palmd_record_options ;;
         replay) _arguments -C -s $_shtab_palmd_replay_options ;;
         report) _arguments -C -s $_shtab_palmd_report_options ;;
-        rig) _arguments -C -s $_shtab_palmd_rig_options ;;
         run) _arguments -C -s $_shtab_palmd_run_options ;;
         runs) _arguments -C -s $_shtab_palmd_runs_options ;;
         top) _arguments -C -s $_shtab_palmd_top_options ;;
@@ -816,6 +780,29 @@ _shtab_palmd_ctl() {
         start) _arguments -C -s $_shtab_palmd_ctl_start_options ;;
         status) _arguments -C -s $_shtab_palmd_ctl_status_options ;;
         stop) _arguments -C -s $_shtab_palmd_ctl_stop_options ;;
+      esac
+  esac
+}
+
+_shtab_palmd_demo() {
+  local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->demo'
+
+  # Add default positional/remainder specs only if none exist, and only once per session
+  if (( ! _shtab_palmd_demo_defaults_added )); then
+    if (( ${_shtab_palmd_demo_options[(I)${(q)one_or_more}*]} +          ${_shtab_palmd_demo_options[(I)${(q)remainder}*]} +          ${_shtab_palmd_demo_options[(I)${(q)default}]} == 0 )); then
+      _shtab_palmd_demo_options+=(': :_shtab_palmd_demo_commands' '*::: :->demo')
+    fi
+    _shtab_palmd_demo_defaults_added=1
+  fi
+  _arguments -C -s $_shtab_palmd_demo_options
+
+  case $state in
+    demo)
+      words=($line[1] "${words[@]}")
+      (( CURRENT += 1 ))
+      curcontext="${curcontext%:*:*}:_shtab_palmd_demo-$line[1]:"
+      case $line[1] in
+        rig) _arguments -C -s $_shtab_palmd_demo_rig_options ;;
       esac
   esac
 }

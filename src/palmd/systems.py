@@ -108,7 +108,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
                 shows="An arm lowers a body that pivots in its gripper onto a pad and drags it over it; "
                 "the outline is estimated once both sides of the body have been touched.",
-                status="palmd.cli.pivot_status:status_lines",
+                status="palmd.cli.glance:pivot_status",
                 kernels="palmd.model.pivot:needed",
             ),
         ),
@@ -131,7 +131,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
                 shows="Three palms sway an unknown body until its motion is known, then roll it on to new surface. "
                 "Only touched surface is estimated.",
-                status="palmd.cli.three_palms_status:status_lines",
+                status="palmd.cli.glance:three_palms_status",
                 kernels="palmd.observer.three_palms.needed:needed",
             ),
         ),

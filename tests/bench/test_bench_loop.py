@@ -54,7 +54,7 @@ sys.exit(status)
 def start_rig(folder, stack):
     rig = Child(["rig", str(shipped("demo.yaml")), "--seed", str(SEED)], folder)
     stack.callback(rig.stop)
-    return json.loads(rig.started(30.0))
+    return json.loads(rig.first_line(30.0) or rig.error_output())
 
 
 def cyclictest(folder):

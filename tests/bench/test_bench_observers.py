@@ -5,17 +5,14 @@ import time
 import numpy as np
 import pytest
 from benchtable import PARTS, machine, percentiles, show
-from palms import palm_sample
+from simulated import simulated
 
-from palmd.events import PadSample
-from palmd.model import building, compiled, extended, shape_map
+from palmd.model import compiled, compiler, extended, shape_map
 from palmd.observer import EXTENDED_BANK, SHAPE_BANK
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.filters.extended import ExtendedFilters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.quasistatic import QuasistaticObserver
-from palmd.rig.simulate import simulate_log
-from palmd.system.description import RigDescription
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]
 
@@ -27,20 +24,6 @@ USED = {"shape": SHAPE_BANK, "extended": EXTENDED_BANK}
 FILTERS = {"shape": ShapeFilters, "extended": ExtendedFilters}
 MODELS = {"shape": shape_map, "extended": extended}
 CALLS, REPEATS = 200, 7
-
-
-def events_of(lines):
-    for line in lines:
-        if "pad" in line:
-            yield PadSample(line["t"], line["pad"], line["s_m"], line["force_n"])
-        elif "palms" in line:
-            yield palm_sample(line)
-
-
-@pytest.fixture(scope="module")
-def run():
-    header, *lines = simulate_log(KIND, SEED, SECONDS)[0]
-    return RigDescription(palm1_length=header["rig"]["hinge"]["palm1_length_m"]), list(events_of(lines))
 
 
 def tick_times(watcher, events):
@@ -57,8 +40,9 @@ def tick_times(watcher, events):
     return times
 
 
-def test_bench_tick_of_the_observers(run):
-    rig, events = run
+def test_bench_tick_of_the_observers():
+    run = simulated(KIND, SEED, SECONDS)
+    rig, events = run.rig, run.events
     rows = []
     for name in FILTERS:
         for size in SIZES:
@@ -100,7 +84,7 @@ def test_bench_one_step_of_one_filter(monkeypatch):
         with monkeypatch.context() as patch:
             patch.delenv("CC", raising=False)
             patch.setattr(compiled, "_opened", lambda _: None)
-            patch.setattr(building.shutil, "which", lambda _: None)
+            patch.setattr(compiler.shutil, "which", lambda _: None)
             slow = model.library.__wrapped__()  # not the one that is kept
         assert slow.backend == "vm"
         for kernel in ("predict", "update_s1"):

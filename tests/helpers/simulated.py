@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+<<<<<<< HEAD
 import json
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,6 +11,11 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+=======
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+>>>>>>> size-tools
 
 import numpy as np
 
@@ -23,6 +29,7 @@ from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED, Vibration
 from tools.studies.bound import Truth
+from tools.studies.simulated import written
 
 TICK_S = 0.01
 
@@ -49,19 +56,10 @@ def simulated(
 ) -> Run:
     """Of a rig that passes for a perfect one, whatever it is."""
     lines, told = simulate_log(
-        kind,
-        seed,
-        seconds,
-        options,
-        body,
-        rests=rests,
-        absences=absences,
-        imperfections=imperfections,
+        kind, seed, seconds, options, body, rests=rests, absences=absences, imperfections=imperfections,
         vibration=vibration,
-    )
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    )  # fmt: skip
+    with written(lines) as path:
         log = read_log(path)
     columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
     constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))

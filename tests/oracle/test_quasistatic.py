@@ -14,7 +14,7 @@ from palmd.model import quasistatic as qs
 from palmd.model.adams import AdamsBashforthMoulton
 from palmd.rig.plant import stable_poses
 from palmd.rig.shapes import random_body
-from tools.studies.paper_runs import balanced_run
+from tools.studies.paper_poses import balanced_run
 
 LUMP = np.array([0.040, 0.003, -0.002, 0.008, 0.0, 0.0008, 0.001])
 

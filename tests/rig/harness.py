@@ -4,6 +4,7 @@ Nothing here sleeps for a fixed time or asserts one: whoever waits names a condi
 how long a slow machine may take until it holds.
 """
 
+import json
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgpack
+import yaml
 import zmq
 from waiting import PATIENCE_S as GENEROUS_S
 from waiting import wait
@@ -82,6 +84,33 @@ class Process(Child):
         """Whatever it does, it is gone."""
         self._process.kill()
         self._process.wait()
+
+
+class LoneRig(Process):
+    """The emulated rig without a daemon; `found` is its JSON line, `config` a configuration with its ports."""
+
+    def __init__(self, folder, settings, *arguments):
+        """`settings` of the rig and of the configuration, without ports."""
+        rig, self.config = folder / "rig.yaml", folder / "palmd.yaml"
+        rig.write_text(yaml.safe_dump(with_ports(settings, {"pad1": "a", "pad2": "b", "arm": "c"})))
+        super().__init__(["rig", rig, *arguments], folder)
+        self.found = json.loads(self.first_line())
+        self.bus = {"publish": f"ipc://{folder}/publish", "command": f"ipc://{folder}/command"}
+        self.config.write_text(yaml.safe_dump(with_ports(settings, self.found) | {"bus": self.bus}))
+
+
+def with_ports(settings, ports):
+    """The settings with the ports of pad1, pad2 and arm."""
+    pads = {f"palm{i}": settings.get("pads", {}) | {"port": ports[f"pad{i}"]} for i in (1, 2)}
+    return settings | {"pads": pads, "arm": settings.get("arm", {}) | {"port": ports["arm"]}}
+
+
+def palmd(*arguments, timeout_s=100.0):
+    """A palmd command to its end."""
+    return subprocess.run(
+        [sys.executable, "-P", "-m", "palmd", *map(str, arguments)],
+        capture_output=True, text=True, timeout=timeout_s, check=False, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
 
 
 class Client(CommandClient):

@@ -3,13 +3,11 @@
 import math
 import os
 import random
-import subprocess
-import sys
 
 import msgpack
 import pytest
 import serial
-from harness import LEAST_WORK, PLAN, Bench
+from harness import LEAST_WORK, PLAN, Bench, palmd
 
 pytestmark = pytest.mark.rig
 
@@ -31,13 +29,6 @@ def start(tmp_path):
     yield begin
     for each in started:
         each.close()
-
-
-def palmd(*arguments):
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "palmd", *map(str, arguments)],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
 
 
 def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):

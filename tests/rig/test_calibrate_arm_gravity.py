@@ -2,12 +2,10 @@
 
 import cmath
 import math
-import subprocess
-import sys
 
 import pytest
 import yaml
-from harness import Client, Process, free_ports, wait
+from harness import Client, Process, free_ports, palmd, wait
 
 from palmd.config.two_palms import Config
 from palmd.harness.stack import Stack
@@ -44,10 +42,7 @@ def calibrate(stack, *arguments, mend=lambda: None):
     """Until the rig was not kept from its work, or it has succeeded; `mend` makes up for what that has done."""
     for attempt in range(ATTEMPTS):
         stalls = stack.rig_status()["stalls"]
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "palmd", "calibrate", *map(str, arguments)],
-            capture_output=True, text=True, timeout=240, check=False,
-        )  # fmt: skip
+        done = palmd("calibrate", *arguments, timeout_s=240.0)
         if done.returncode == 0 or stack.rig_status()["stalls"] == stalls:
             break
         print(f"attempt {attempt}: {done.stderr}")

@@ -1,11 +1,10 @@
 """The guided first recording on the emulated rig, from its first check to the comparison with the calipers."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 import yaml
+from harness import palmd
 
 from palmd.record.calipers import read_table
 from palmd.yamlfile import load_config
@@ -22,18 +21,12 @@ PLAN = {
 OWN_TIME_S = 15 * 60
 
 
-def palmd(*arguments):
-    command = [sys.executable, "-P", "-m", "palmd", *map(str, arguments)]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=OWN_TIME_S
-    )
-
-
 @pytest.mark.nightly
 def test_from_the_check_to_the_bundle_and_the_comparison(tmp_path):
     plan, bundle = tmp_path / "short.yaml", tmp_path / "bundle"
     plan.write_text(yaml.safe_dump(PLAN))
-    done = palmd("capture", "--emulated", "--seed", 3, "--objects", 1, "--plan", plan, "-o", bundle, "--zip")
+    how = ("--emulated", "--seed", 3, "--objects", 1, "--plan", plan, "-o", bundle, "--zip")
+    done = palmd("record", "capture", *how, timeout_s=OWN_TIME_S)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(tmp_path / "bundle.zip")
     config = load_config(bundle / "palmd.yaml")
@@ -42,7 +35,7 @@ def test_from_the_check_to_the_bundle_and_the_comparison(tmp_path):
     assert "ok" in (bundle / "doctor.txt").read_text()
     (row,) = read_table(bundle)
     assert 20.0 < row.smallest_mm <= row.largest_mm < 60.0
-    scored = palmd("reconstruct", bundle, "-o", tmp_path / "result.json")
+    scored = palmd("reconstruct", bundle, "-o", tmp_path / "result.json", timeout_s=OWN_TIME_S)
     assert scored.returncode == 0, scored.stderr
     result = json.loads((tmp_path / "result.json").read_text())
     assert [each["object"] for each in result["objects"]] == [row.name]

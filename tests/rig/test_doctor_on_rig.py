@@ -1,12 +1,7 @@
 """`palmd doctor` against the emulated rig as a process: the arm's conformance in real time, and the findings."""
 
-import json
-import subprocess
-import sys
-
 import pytest
-import yaml
-from harness import Client, Process
+from harness import Client, LoneRig, palmd
 
 from palmd.devices.armconformance import CHECKS
 
@@ -15,44 +10,26 @@ pytestmark = pytest.mark.rig
 GENTLE = {"rate_deg_s": 60, "acceleration_deg_s2": 300}  # so that one cycle's clamp is within reach of the test
 
 
-class Rig:
-    def __init__(self, folder):
-        settings = {"pads": {"palm1": {"port": "a"}, "palm2": {"port": "b"}}, "arm": {"port": "c"}, "limits": GENTLE}
-        (folder / "rig.yaml").write_text(yaml.safe_dump(settings))
-        self._process = Process(["rig", folder / "rig.yaml", "--seed", 3], folder)
-        self.found = json.loads(self._process.first_line())
-        self.hand = Client(self.found["control"])
-        bus = {"publish": f"ipc://{folder}/publish", "command": f"ipc://{folder}/command"}
-        pads = {"palm1": {"port": self.found["pad1"]}, "palm2": {"port": self.found["pad2"]}}
-        settings |= {"pads": pads, "arm": {"port": self.found["arm"]}, "bus": bus}
-        self.config = folder / "palmd.yaml"
-        self.config.write_text(yaml.safe_dump(settings))
-
-    def close(self):
-        self.hand.close()
-        self._process.stop()
+def rigs(folder):
+    rig = LoneRig(folder, {"limits": GENTLE}, "--seed", 3)
+    with Client(rig.found["control"]) as rig.hand:
+        yield rig
+    rig.stop()
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    rig = Rig(tmp_path_factory.mktemp("doctor"))
-    yield rig
-    rig.close()
+    yield from rigs(tmp_path_factory.mktemp("doctor"))
 
 
 @pytest.fixture
 def own_rig(tmp_path):
     """For a test that may leave the arm in a fault."""
-    rig = Rig(tmp_path)
-    yield rig
-    rig.close()
+    yield from rigs(tmp_path)
 
 
 def doctor(*arguments):
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "palmd", "doctor", *map(str, arguments)],
-        capture_output=True, text=True, timeout=100, check=False, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    return palmd("doctor", *arguments)
 
 
 def test_the_emulated_arm_conforms(own_rig):

@@ -1,13 +1,11 @@
 """The recorder as a process beside the real daemon: nothing is missing, whoever dies."""
 
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
-from harness import Bench, Process, wait
+from harness import Bench, Process, palmd, wait
 from mcap.reader import make_reader
 
 from palmd.record.mcapread import is_packed
@@ -87,9 +85,7 @@ def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(light_
 
     light_bench.until_faults("recorder-silent")
     messages = sum(1 for _ in run.messages())
-    done = subprocess.run(
-        [sys.executable, "-m", "palmd", "runs", "recover", path], capture_output=True, text=True, check=False
-    )
+    done = palmd("runs", "recover", path)
     assert done.returncode == 0, done.stderr
     assert f"{path}: {messages} messages of" in done.stdout
     assert is_packed(path)

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from outcomes import conclude, outcome, take
 
 from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider
-from palmd.harness.scorer import Scorer
+from palmd.harness.scorer import COMPARED, Scorer
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
 from palmd.observer import Simulated
+from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from tools.closed_loop import ClosedLoopError, InlineExplorer, TwoPalmsLoop
@@ -57,19 +57,34 @@ def test_another_seed_has_another_body():
     assert bodies[0]["mass_kg"] != bodies[1]["mass_kg"]
 
 
+def take(scorer, instant):
+    """One tick of a run."""
+    estimate = instant.messages[ESTIMATE.name]
+    if scorer.take(instant.t, estimate):
+        scorer.compare(instant.t, [estimate[name] for name in COMPARED], [instant.truth[name] for name in COMPARED])
+    if SHAPE.name in instant.messages:
+        scorer.take_shape(instant.messages[SHAPE.name])
+
+
 @pytest.mark.parametrize(("seed", "observer_name"), [(1, "shape"), (3, "shape"), (6, "extended")])
 def test_it_settles_and_is_right(seed, observer_name):
-    outcome = conclude(wireless(seed, observer_name=observer_name), 12.0)
-    assert outcome.t_settled < 6.0
-    assert outcome.valid > 0.8
-    assert outcome.r_rms < 1e-4
-    assert outcome.e_h < 1e-4
-    assert outcome.touched > 0.05
-    assert abs(outcome.mass_error) < 0.1
-    assert outcome.objects == 1
-    assert outcome.contact_losses == outcome.falls == 0
-    assert outcome.outside_limits == 0
-    assert 0.0 < outcome.largest_rate < RATE_LIMIT
+    run = wireless(seed, observer_name=observer_name)
+    run.start()
+    scorer = Scorer(run.t)
+    for instant in run.run(12.0):
+        take(scorer, instant)
+    run.stop()
+    status, body = run.world.status(), run.world.object_truth()
+    assert scorer.settling_s < 6.0
+    assert scorer.valid_share > 0.8
+    assert scorer.rms()[0] < 1e-4
+    outline = scorer.outline(body["h_m"])
+    assert outline.e_h < 1e-4
+    assert outline.touched > 0.05
+    assert abs(scorer.constants(body)[2]) < 0.1
+    assert scorer.estimate["object"] == 1
+    assert status["contact_losses"] == status["falls"] == status["setpoints_outside_limits"] == 0
+    assert 0.0 < math.radians(status["largest_rate_deg_s"]) < RATE_LIMIT
 
 
 def test_ticks_are_the_loops_own_and_truth_is_of_the_same_instant():
@@ -200,29 +215,18 @@ def test_an_estimate_is_judged_against_the_truth():
         estimate |= {"valid": valid, "object": 2, "rho_m": 1.1 * body["rho_m"], "mu": body["mu"] - 0.02}
         estimate |= {"mass_kg": 0.9 * body["mass_kg"]}
         take(scorer, dataclasses.replace(instant, t=t, messages={"palm/estimate": estimate}))
-    found = outcome(scorer, run.world)
-    assert found.settled
-    assert found.t_settled == 2.0
-    assert found.valid == 0.75
-    assert found.wrong == pytest.approx(1 / 3)
-    assert found.r_rms == pytest.approx(4e-4 / math.sqrt(6))
-    assert found.omega0_rms == pytest.approx(0.0)
-    assert found.rho_error == pytest.approx(0.1)
-    assert found.mu_error == pytest.approx(-0.02)
-    assert found.mass_error == pytest.approx(-0.1)
-    assert found.objects == 2
-    assert math.isnan(found.e_h)
+    assert scorer.settling_s == 2.0
+    assert scorer.valid_share == 0.75
+    assert scorer.rms() == (pytest.approx(4e-4 / math.sqrt(6)), pytest.approx(0.0))
+    assert scorer.constants(body) == pytest.approx((0.1, -0.02, -0.1))
+    assert scorer.estimate["object"] == 2
+    assert scorer.outline(body["h_m"]) is None
 
 
 def test_what_never_settled_has_no_numbers():
-    run = wireless(5)
-    run.start()
-    scorer = Scorer(run.t)
-    for instant in run.run(0.05):
-        take(scorer, instant)
-    found = outcome(scorer, run.world)
-    assert not found.settled
-    assert all(math.isnan(x) for x in (found.valid, found.wrong, found.r_rms, found.e_h, found.rho_error))
+    scorer = Scorer(0.0)
+    scorer.take(1.0, {"valid": False})
+    assert all(map(math.isnan, (scorer.settling_s, scorer.valid_share, *scorer.rms())))
 
 
 @pytest.mark.nightly

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toy_study import KINDS, ToyRow, ToyTask, asked, draw, study
+from toy_study import KINDS, ToyRow, asked, draw, study
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import install_line
@@ -64,7 +64,7 @@ def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monk
         raise ModuleNotFoundError(name="matplotlib")
 
     monkeypatch.setattr(importlib, "import_module", not_there)
-    assert main(["paper"]) == BAD_INPUT
+    assert main(["montecarlo"]) == BAD_INPUT
     assert install_line("matplotlib", "studies") in capsys.readouterr().err
 
 
@@ -132,18 +132,6 @@ def test_a_figure_is_drawn_where_there_is_one(threads, tmp_path, capsys):
     assert study(panels=panels).conduct(asked("-o", tmp_path)) == 0
     assert (tmp_path / "toy.svg").read_bytes() == first
     assert capsys.readouterr().out.splitlines()[-1].count("toy") == 2
-
-
-def test_without_matplotlib_there_is_no_figure_and_one_line_says_so(threads, tmp_path, monkeypatch, capsys):
-    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "tools.studies.figure", raising=False)
-    monkeypatch.delattr("tools.studies.figure", raising=False)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert study(panels=[("value", lambda row: row.value, 1.0, (), False)]).conduct(asked("-o", tmp_path)) == 0
-    out, err = capsys.readouterr()
-    assert err == f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
-    assert out.splitlines()[-1] == f"written: {tmp_path / 'runs.jsonl'}"
 
 
 def test_quantiles():
@@ -393,9 +381,3 @@ def test_workers_do_not_outlive_their_parent(tmp_path):
     while worker.exists():
         assert time.monotonic() < t_end
         time.sleep(0.05)
-
-
-def test_a_task_of_an_unknown_kind_is_a_row_that_says_so():
-    row = study().attempted(ToyTask("flat", "no number", 1.0))
-    assert row.error.startswith("TypeError")
-    assert math.isnan(row.value)

@@ -14,7 +14,6 @@ from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
 from tools.studies import montecarlo
 from tools.studies.bound import Bound
-from tools.studies.harness import as_line
 from tools.studies.montecarlo import STUDY, MonteCarloRow, MonteCarloTask, Scalar, remarks, row_of
 from tools.studies.scoring import Causal, ObserverAnswers, causal_of, outline_errors, truth_of
 from tools.studies.silent_observer import SilentObserver
@@ -106,14 +105,6 @@ def test_right_and_wrong():
     assert not scored(answer(h=np.full(360, 0.02), converged=False)).wrong
     between = scored(answer(h=support(THETA + 0.7) + 2.8e-4 * np.cos(12 * THETA)))
     assert (between.right, between.wrong) == (False, False)
-
-
-def test_a_row_is_strict_json():
-    line = as_line(scored(answer(**NO_SHAPE, chi2=NAN), causal=Causal(NAN, 1.0, 1e-5, 1.0)))
-    assert json.loads(json.dumps(line, allow_nan=False)) == line
-    assert line["e_h_m"] is None
-    assert line["causal"] == {"converged_after_s": None, "first_valid_s": 1.0, "r_rms_m": 1e-5, "nees_r": 1.0}
-    assert line["rho_m"] == {"true": 0.014, "error": 0.0, "sd": 1e-3, "bound": 5e-4}
 
 
 # ---------------------------------------------------------------------------------------------------- causal

@@ -31,12 +31,6 @@ def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
     assert 9e-3 < np.abs(slopes[2:] - slopes[:-2]).max() < 14e-3  # h′ jumps by the chord's length
 
 
-def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = OFFLINE.attempted(SharpTask("teapot", 0))
-    assert row.error.startswith("KeyError")
-    assert object_logs.remarks([row]) == [f"teapot 0: {row.error}"]
-
-
 def test_right_wrong_and_refused_are_counted_apart() -> None:
     kind = KINDS[0]
     one, two = {"claimed": True, "e_h_m": 9e-5, "most_m": 2e-4}, {"claimed": True, "e_h_m": 2e-4, "most_m": 6e-4}

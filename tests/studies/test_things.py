@@ -31,12 +31,6 @@ def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
     assert row.wrong <= row.valid <= 1.0
 
 
-def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = LIVE.attempted(ObjectTask("teapot", 0))
-    assert row.error.startswith("ValueError")
-    assert remarks([row]) == [f"teapot 0: {row.error}"]
-
-
 def test_the_remarks_leave_smooth_lumps_out_of_things() -> None:
     die = ObjectRow("die", 0, valid=0.5, wrong=0.1, most_m=1e-3, refusals=3, losses=2, far=0.025)
     rows = [die, ObjectRow(LUMP, 0, valid=0.9, wrong=0.5, most_m=4e-4)]

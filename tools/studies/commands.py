@@ -18,7 +18,6 @@ STUDIES = {
     "sbc": "simulation-based calibration of blind reconstructions",
     "off": "reconstructions with one rig property different from the configuration",
     "explore": "unknown objects explored on the emulated rig, compared with random moves",
-    "curved": "logs of curved palms reconstructed blind",
     "pivot": "objects in a pivoting grasp, offline and live",
     "space": "bodies between three palms in space, offline, live and explored",
     "things": "test objects such as dice, nuts, coins and blocks: how often an estimate is wrong",
@@ -27,11 +26,10 @@ STUDIES = {
     "simulate": "daemon and rig in virtual time with random faults: invariants that must hold",
     "false-alarms": "ordinary operation in virtual time: which guard holds or stops it",
     "soak": "the demo for an hour with random faults: leaks, lateness, lost packets",
-    "paper": "the runs behind the figures of CMU-CS-01-107, by its method and by palmd's",
 }
 """Names and topics. A study's module has `add_arguments(parser)`, and a `STUDY` or `conduct(arguments) -> int`."""
 
-MODULES = {"engines": "bench_engines", "explore": "exploring"}
+MODULES = {"engines": "engines.study", "explore": "exploring"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -9,7 +9,6 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from palmd.bus.subscriber import Message
@@ -49,7 +48,7 @@ time.time = lambda: _time() + ({seconds!r} if os.path.exists(_mark) else 0.0)
 """For the interpreter's `sitecustomize`: steps the wall clock of one process as soon as the mark file exists."""
 
 
-class Stand:
+class Stand(Stack):
     """See the module; a context manager that starts the processes and ends them.
 
     `usable` becomes False if the palms could not be brought to move again.
@@ -57,36 +56,31 @@ class Stand:
 
     def __init__(self, folder: Path, config: Config, seed: int, runs: Path) -> None:
         """`folder`: for configurations and output; `runs`: for recordings; `config` has the plan to run."""
-        self._folder, self._seed = folder, seed
-        self._stack = Stack(folder, config, runs)
+        super().__init__(folder, config, runs)
+        self._seed = seed
         self._operator = Operator()
         self.usable = True
 
     def __enter__(self) -> Self:
         """Start the processes; raises CliError if one does not start."""
         try:
-            self._stack.start_rig("--seed", str(self._seed))
-            self._stack.start(record=True)
-            self._stack.start_page()
+            self.start_rig("--seed", str(self._seed))
+            self.start(record=True)
+            self.start_page()
         except BaseException:
             self.__exit__(None, None, None)
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, traceback)
-
     def _restart_daemon(self, watch: ReactionWatch, **environment: str) -> None:
         """Start a daemon and wait for its first state; `watch` takes the messages until then."""
-        self._stack.begin_daemon(**environment)
+        self.begin_daemon(**environment)
         self._operator = Operator()
-        if not self._stack.wait_for_daemon(lambda message: self._take(watch, message)):
-            raise not_started(self._stack.children["daemon"])
+        if not self.wait_for_daemon(lambda message: self._take(watch, message)):
+            raise not_started(self.children["daemon"])
         while not self._operator.state:
             self._listen(watch, LOOK_S)
-            self._stack.check_alive("daemon")
+            self.check_alive("daemon")
 
     # ---- what an operator does ---------------------------------------------------------------------------
 
@@ -98,11 +92,11 @@ class Stand:
             self._listen(watch, LOOK_S)
             t = time.monotonic()
             if t > t_end:
-                text = self._stack.children["daemon"].error_output()
+                text = self.children["daemon"].error_output()
                 raise CliError(RIG_FAILED, f"the palms did not start to move: {self._operator.state}\n{text}")
             command = self._operator.decide(t)
             if command is not None:
-                self._stack.client.ask(command)
+                self.client.ask(command)
 
     def _brisk(self, watch: ReactionWatch) -> bool:
         last: TrueMotion | None = watch.motions[-1] if watch.motions else None
@@ -111,7 +105,7 @@ class Stand:
         return last is not None and moves and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
 
     def _listen(self, watch: ReactionWatch, seconds: float) -> None:
-        for message in self._stack.subscriber.until(time.monotonic() + seconds):
+        for message in self.subscriber.until(time.monotonic() + seconds):
             self._take(watch, message)
 
     def _take(self, watch: ReactionWatch, message: Message) -> None:
@@ -125,7 +119,7 @@ class Stand:
         if isinstance(row.act, WallClockStep):
             self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
-        before, kept = self._stack.rig_status(), self._recorder()
+        before, kept = self.rig_status(), self._recorder()
         watch = ReactionWatch()
         wrong: list[str] = []
         self._listen(watch, LOOK_S)
@@ -140,7 +134,7 @@ class Stand:
             self.usable = False
             wrong.append(str(error).splitlines()[0])
         wrong += _lost(kept) if _concerns_recording(row.act) else []
-        starved = self._stack.rig_status()["stalls"] > before["stalls"]
+        starved = self.rig_status()["stalls"] > before["stalls"]
         seen = replace(watch.reaction(row, t_cause, wrong, starved=starved), came_s=reaction.came_s)
         t_asked = asked_at(row, t_cause, seen.noticed_s, seen.came_s)
         return replace(seen, why=ask(row, Path(kept["path"]), t_cause, t_asked))
@@ -162,7 +156,7 @@ class Stand:
         match act:
             case RowFault():
                 fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                t = float(self._stack.ask_rig("mischief", **fields)["t_on_s"])
+                t = float(self.ask_rig("mischief", **fields)["t_on_s"])
             case Pause():
                 number = self._number(act.process)
                 os.kill(number, signal.SIGSTOP)
@@ -185,8 +179,8 @@ class Stand:
     def _number(self, process: Process) -> int:
         """Process id of a child, or of the daemon's smoother."""
         if process in ("daemon", "recorder", "page"):
-            return self._stack.children[process].number
-        daemon = self._stack.children["daemon"].number
+            return self.children[process].number
+        daemon = self.children["daemon"].number
         for number in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
             if "palmd.daemon.smoothing" in Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8"):
                 return int(number)
@@ -196,13 +190,13 @@ class Stand:
         """End the cause and restart ended processes; returns what went wrong."""
         match act:
             case RowFault() if act.for_s is None:
-                self._stack.ask_rig("calm", name=act.name, port=act.port)
+                self.ask_rig("calm", name=act.name, port=act.port)
             case Kill(process="daemon"):
-                self._stack.client.ask("reset")  # the controller's fault, which the new daemon found
+                self.client.ask("reset")  # the controller's fault, which the new daemon found
             case Kill(process="recorder"):
-                self._stack.start_recorder()
+                self.start_recorder()
             case Kill(process="page"):
-                self._stack.start_page()
+                self.start_page()
             case Pause(process="recorder"):
                 return self._gone("recorder-silent")
             case FullDisk():
@@ -216,11 +210,11 @@ class Stand:
 
     def _refused_beside(self) -> list[str]:
         """Start a second daemon on the same addresses; returns a deviation unless it ends with the right message."""
-        child = self._stack.begin("second", "run", str(self._stack.path), "--no-record")
+        child = self.begin("second", "run", str(self.path), "--no-record")
         t_end = time.monotonic() + START_S
         while child.status is None and time.monotonic() < t_end:
             time.sleep(LOOK_S)
-        if child.status == RIG_FAILED and f"{self._stack.bus.publish} is in use" in child.error_output():
+        if child.status == RIG_FAILED and f"{self.bus.publish} is in use" in child.error_output():
             return []
         return [f"the second daemon ended with {child.status}: {child.error_output()}"]
 
@@ -233,7 +227,7 @@ class Stand:
         return []
 
     def _limit_recorder(self, size_bytes: int) -> None:
-        number = self._stack.children["recorder"].number
+        number = self.children["recorder"].number
         _, hard = resource.prlimit(number, resource.RLIMIT_FSIZE)
         resource.prlimit(number, resource.RLIMIT_FSIZE, (size_bytes, hard))
 
@@ -253,23 +247,23 @@ class Stand:
         """The recorder's last report to the daemon, once it has a file."""
         t_end = time.monotonic() + PATIENCE_S
         while time.monotonic() < t_end:
-            result = self._stack.client.ask("status").get("result") or {}
+            result = self.client.ask("status").get("result") or {}
             report: dict[str, Any] = result.get("recorder") or {}
             if "path" in report:
                 return report
             time.sleep(LOOK_S)
-        raise CliError(RIG_FAILED, f"the recorder does not record\n{self._stack.children['recorder'].error_output()}")
+        raise CliError(RIG_FAILED, f"the recorder does not record\n{self.children['recorder'].error_output()}")
 
     def _set_points(self, before: dict[str, Any], reaction: Reaction) -> list[str]:
         """Deviations of the set-points that the rig received: outside the limits, or sent to an arm that must rest."""
-        now = self._stack.rig_status()
+        now = self.rig_status()
         wrong = []
         if now["setpoints_outside_limits"] > before["setpoints_outside_limits"]:
             wrong.append("set-points outside the limits")
         taken = "accepted" if "accepted" in now else "setpoints"  # servos accept everything on the bus
         if reaction.state in ("ready", "fault"):
             time.sleep(AFTERWARDS_S)
-            if self._stack.rig_status()[taken] > now[taken]:
+            if self.rig_status()[taken] > now[taken]:
                 wrong.append("set-points to an arm that must rest")
         return wrong
 

@@ -96,10 +96,6 @@ class Study(Generic[Task, Row]):
         rows = sorted([*kept, *finished], key=self.order)
         return self._concluded(rows, path) or status if rows else status
 
-    def attempted(self, task: Task) -> Row:
-        """The task's row; an exception becomes a row with its error."""
-        return _attempted(self.run, self.row, task)
-
     def tabled(self, rows: Sequence[Row]) -> str:
         """The table of these rows, which are sorted."""
         groups = self._grouped(rows)

@@ -16,22 +16,19 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from palmd import observer
 from palmd.events import Event, PadSample
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import read_log
 from palmd.rig.imperfections import PERFECT, Imperfections, drawn
 from palmd.rig.plant import PlantOptions
 from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.simulate import PERFECTLY_KNOWN, simulate_log
-from palmd.score import WRONG_M
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 from tools.studies import harness
 from tools.studies.cells import Cell, among, count, count_of, most, quantiles
 from tools.studies.harness import Study, result
-from tools.studies.montecarlo import answers
-from tools.studies.scoring import FAR, Line, outline_errors, truth_of
+from tools.studies.scoring import FAR, outline_errors, truth_of
 from tools.studies.simulated import written
 
 TakenFor = Literal["exact", "calibrated"]
@@ -152,7 +149,6 @@ class MiscalibrationTask:
     kind: Kind
     seed: int
     seconds: float = 20.0
-    live: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +156,7 @@ class MiscalibrationRow(MiscalibrationTask):
     """The results of one run; NaN for missing values.
 
     e_h_m, h_sd_m: RMS over the touched normals. z: largest error of the wrong constants, in 1σ. named, named_early:
-    constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. ticks, valid, live_far,
-    live_wrong: ticks of a causal replay, valid ones, and valid ones with an RMS error of r1 and r2 above `FAR` 1σ, or
-    with an error of either above `WRONG_M`.
+    constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`.
     """
 
     error: str = ""
@@ -173,10 +167,6 @@ class MiscalibrationRow(MiscalibrationTask):
     z: float = math.nan
     named: tuple[str, ...] = ()
     named_early: tuple[str, ...] = ()
-    ticks: int = 0
-    valid: int = 0
-    live_far: int = 0
-    live_wrong: int = 0
 
     @property
     def far(self) -> bool:
@@ -188,7 +178,7 @@ def draw(arguments: argparse.Namespace) -> Sequence[MiscalibrationTask]:
     """The requested number of runs of each, with kinds `friction` and `rig` in turns."""
     kinds: tuple[Kind, Kind] = ("friction", "rig")
     return [
-        MiscalibrationTask(off, world, kinds[seed % 2], seed, arguments.seconds, arguments.live)
+        MiscalibrationTask(off, world, kinds[seed % 2], seed, arguments.seconds)
         for world in arguments.taken_for
         for off in arguments.only
         for seed in harness.seeds_of(arguments)
@@ -218,8 +208,6 @@ def run(task: MiscalibrationTask) -> MiscalibrationRow:
         MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
-    if task.live:
-        row = _replayed(row, replace(log, events=tuple(events)), truth_line)
     truth, true = truth_of(truth_line), np.array([truth_line["rig"][name] for name in RIG_NAMES])
     scored = outline_errors(answer, truth)
     if scored is None:
@@ -233,14 +221,6 @@ def run(task: MiscalibrationTask) -> MiscalibrationRow:
         h_sd_m=float(np.sqrt(np.mean(scored.h_sd[at] ** 2))),
         z=float(z[which].max()) if which else math.nan,
     )
-
-
-def _replayed(row: MiscalibrationRow, log: EventLog, truth: Line) -> MiscalibrationRow:
-    """The row with the results of a replay through the live observer, with a simulated smoother."""
-    live = answers(log, truth, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig)))
-    error, sd = live.r_error[live.valid], live.r_sd[live.valid]
-    far = np.mean((error / sd) ** 2, axis=1) > FAR**2
-    return replace(row, ticks=len(live.t), valid=len(error), live_far=int(far.sum()), live_wrong=int(live.wrong.sum()))
 
 
 def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfections:
@@ -292,10 +272,6 @@ def _of_accepted(cell: Cell) -> Cell:
     return among(lambda row: row.accepted, cell)
 
 
-def _of_ticks(name: str) -> Callable[[MiscalibrationRow], float]:
-    return lambda row: getattr(row, name) / row.valid if row.valid else math.nan
-
-
 COLUMNS: list[tuple[str, Cell]] = [
     ("accepted", count_of(lambda row: row.accepted)),
     ("µm", _of_accepted(quantiles(lambda row: row.e_h_m, 1e6))),
@@ -305,9 +281,6 @@ COLUMNS: list[tuple[str, Cell]] = [
     ("constant within 2 sd", _of_accepted(count(lambda row: row.z <= 2.0))),
     *((f"named: {what}", _early(what)) for what in VERDICTS),
     ("in the end: right", count(lambda row: verdict(of_name(row.off), row.named) == "right")),
-    ("live: valid %", quantiles(lambda row: row.valid / row.ticks if row.ticks else math.nan, 100.0)),
-    ("> 3 sd %", quantiles(_of_ticks("live_far"), 100.0)),
-    ("> 0.3 mm %", quantiles(_of_ticks("live_wrong"), 100.0)),
 ]
 
 
@@ -321,12 +294,6 @@ def remarks(rows: Sequence[MiscalibrationRow]) -> list[str]:
             f"{world}: {sum(row.far for row in accepted)} of {len(accepted)} accepted have errors above {FAR:g} sd, "
             f"{sum(row.far for row in plain)} of {len(plain)} where touch can determine the whole mis-calibration"
         )
-    ticks, valid, far, wrong = (sum(getattr(row, name) for row in rows) for name in _TICKS)
-    if ticks:
-        lines.append(
-            f"live: {far} of {valid} valid ticks have errors above {FAR:g} sd, "
-            f"{wrong} above {1e3 * WRONG_M:g} mm; {valid / ticks:.0%} of the ticks are valid"
-        )
     for row in rows:
         if row.error or not row.accepted:
             lines.append(f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}")
@@ -335,8 +302,6 @@ def remarks(rows: Sequence[MiscalibrationRow]) -> list[str]:
             lines.append(f"{row.off}, {row.kind} {row.seed}: error {error:.0f} µm, sd {sd:.0f} µm")
     return lines
 
-
-_TICKS = ("ticks", "valid", "live_far", "live_wrong")
 
 STUDY = Study(
     "mis-calibration",
@@ -358,5 +323,3 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"the rest of the rig: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
     add("--only", choices=NAMES, nargs="+", default=NAMES, metavar="WHAT",
         help=f"mis-calibrations: {'; '.join(NAMES)} (default: all)".replace("%", "%%"))  # fmt: skip
-    add("--live", action="store_true",
-        help="replay each log through the live observer too, as `palmd estimate` does")  # fmt: skip

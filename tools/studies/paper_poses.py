@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from palmd.events import FloatArray
+from palmd.model.quasistatic import QuasistaticReadings
 from palmd.model.stable_poses import BoolArray, TouchedPoint, basins, nearest_turn, outline_at, touch
 from palmd.model.stable_surface import SurfaceLimits
 
@@ -99,6 +101,35 @@ def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi
             now = after
         all_psi[step + 1] = now
     return Followed(all_psi, jumped)
+
+
+@dataclass(frozen=True, slots=True)
+class BalancedRun:
+    """Times t (s), palm angles and ψ (rad) along a run, both contacts, and exact readings with rates: n instants."""
+
+    t: FloatArray
+    phi1: FloatArray
+    phi2: FloatArray
+    psi: FloatArray
+    contacts: TouchedPoint
+    readings: tuple[QuasistaticReadings, ...]
+    jumps: int
+
+
+def balanced_run(
+    coefficients: FloatArray, psi: float, t: FloatArray, phi1: FloatArray, phi2: FloatArray
+) -> BalancedRun:
+    """The run of an outline (m, about its centre of mass) put down near `psi` (rad), for a path of the palms (n).
+
+    Rates are those of cubic splines through the exact values. Raises ValueError as `follow` does.
+    """
+    followed = follow(coefficients, np.array([psi]), phi1, phi2)
+    turned = followed.psi[:, 0]
+    contacts = touch(coefficients, phi1, phi2, turned)
+    values = np.stack([contacts.s1, contacts.s2, phi1, phi2])
+    rates = CubicSpline(t, values, axis=1)(t, 1)
+    readings = tuple(QuasistaticReadings(*column) for column in np.concatenate([values, rates]).T.tolist())
+    return BalancedRun(t, phi1, phi2, turned, contacts, readings, int(followed.jumped.sum()))
 
 
 def inside_boundary(coefficients: FloatArray, limits: SurfaceLimits, phi2: FloatArray) -> FloatArray:

@@ -6,7 +6,6 @@ before it loads one.
 
 from __future__ import annotations
 
-import functools
 import multiprocessing
 import os
 import signal
@@ -50,24 +49,6 @@ def cluster(address: str) -> Iterator[Executor]:
 
     with Client(address, timeout=CONNECT_S, set_as_default=False) as client:
         yield client.get_executor(pure=False)
-
-
-def with_failures(
-    failed: Callable[[Task, BaseException], Result],
-) -> Callable[[Callable[[Task], Result]], Callable[[Task], Result]]:
-    """A decorator for functions of a task: an exception is converted to a result by `failed`, in the same process."""
-
-    def around(work: Callable[[Task], Result]) -> Callable[[Task], Result]:
-        @functools.wraps(work)
-        def done(task: Task) -> Result:
-            try:
-                return work(task)
-            except Exception as error:
-                return failed(task, error)
-
-        return done
-
-    return around
 
 
 def finished(

@@ -28,12 +28,11 @@ from palmd.record.recheck import Recheck
 from palmd.record.run import RunError, read_run
 from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
-from tools.studies.harness import terminable, writable, write
+from tools.studies.harness import as_line, terminable, writable, write
 from tools.studies.soak_fault_injection import ScheduledAct, draw
 from tools.studies.soak_findings import (
     SoakFinding,
     all_met,
-    as_line,
     between,
     leaks,
     minutes,

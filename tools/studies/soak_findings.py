@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from palmd.bus.subscriber import Message
 from palmd.console.columns import aligned
-from palmd.jsonvalues import or_none
 from palmd.record.recheck import CheckedTick
 from palmd.record.run import Survey
 
@@ -60,19 +60,6 @@ def without_goal(group: str, name: str, value: float, unit: str = "") -> SoakFin
 def all_met(findings: Sequence[SoakFinding]) -> bool:
     """Whether there are findings and none has missed its goal."""
     return bool(findings) and all(finding.met is not False for finding in findings)
-
-
-def as_line(finding: SoakFinding) -> dict[str, Any]:
-    """One finding for JSON."""
-    return {
-        "group": finding.group,
-        "name": finding.name,
-        "value": or_none(finding.value),
-        "unit": finding.unit,
-        "goal": finding.goal,
-        "met": finding.met,
-        "why": finding.why,
-    }
 
 
 def table(findings: Sequence[SoakFinding]) -> str:
@@ -238,13 +225,7 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[SoakFindin
             without_goal("lateness", "drift of p99", slope(t, [one.p99_ms for one in each_minute]) * HOUR_S, "ms/h")
         )
         found.append(without_goal("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
-    if goal:
-        return found
-    return [_unjudged(one) for one in found]
-
-
-def _unjudged(finding: SoakFinding) -> SoakFinding:
-    return SoakFinding(finding.group, finding.name, finding.value, finding.unit, finding.goal, None)
+    return found if goal else [replace(one, met=None) for one in found]
 
 
 # ------------------------------------------------------------------------------------------------- recording
@@ -302,3 +283,57 @@ def replayed(ticks: Iterable[CheckedTick]) -> list[SoakFinding]:
         SoakFinding("recording", "ticks replayed", count, "", "> 0", count > 0),
         between("recording", "ticks replayed that differ", differ, 0, 0),
     ]
+
+
+# ------------------------------------------------------------------------------------------------- collected
+
+
+@dataclass(slots=True)
+class SoakWatch:
+    """Collects what is judged: messages of daemon and rig, and the processes' resources.
+
+    `last_state`: the last `palm/state`; `loop`: the last `palm/loop`.
+    """
+
+    seconds: list[Second] = field(default_factory=list)
+    processes: dict[str, ProcessSeries] = field(default_factory=dict)
+    numbers: dict[str, Numbers] = field(default_factory=dict)
+    last_state: dict[str, Any] = field(default_factory=dict)
+    loop: dict[str, Any] = field(default_factory=dict)
+    on_palms: bool = True
+
+    @property
+    def state(self) -> str:
+        """The last state, empty before the first."""
+        return str(self.last_state.get("state", ""))
+
+    @property
+    def t_loop(self) -> float:
+        """Time of the last `palm/loop` (s)."""
+        return float(self.loop.get("mono_ns", 0)) * 1e-9
+
+    def take(self, message: Message) -> None:
+        """Take one message."""
+        fields = message.fields
+        self._number(message.topic, fields["seq"])
+        if message.topic == "palm/state":
+            self.last_state = fields
+        elif message.topic == "palm/loop":
+            self.loop = fields
+            self.seconds.append(Second(self.t_loop, fields["ticks"], fields["overruns"], tuple(fields["lateness_ms"])))
+
+    def sample(self, name: str, t: float, rss_mb: float, descriptors: int, threads: int) -> None:
+        """Add the resources of a process at `t` (s)."""
+        series = self.processes.setdefault(name, ProcessSeries())
+        series.t.append(t)
+        series.rss_mb.append(rss_mb)
+        series.descriptors.append(descriptors)
+        series.threads.append(threads)
+
+    def _number(self, topic: str, number: int) -> None:
+        known = self.numbers.get(topic)
+        if known is None:
+            self.numbers[topic] = Numbers(number, number)
+            return
+        known.missing += max(0, number - known.last - 1)
+        known.last = number

@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -26,7 +26,7 @@ from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
 from palmd.view.http_guard import SOCKET
 from tools.studies.soak_fault_injection import Act, InjectedFault, OperatorCommand, Visitor
-from tools.studies.soak_watch import Process, SoakWatch
+from tools.studies.soak_findings import SoakWatch
 
 PATIENCE_S = 40.0  # longest time to a requested state
 STOPPED_S = 2.0  # longest time to a stop
@@ -43,17 +43,16 @@ MALFORMED = b"\xc1 no command"
 ASKED_EVERY_S = 0.05  # longest wait for more answers
 
 
-class SoakStand:
+class SoakStand(Stack):
     """See the module; a context manager that starts and ends the processes. `finish` returns the recordings."""
 
     def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
         """`folder`: for configurations and the processes' output; `runs`: for recordings."""
-        self._folder, self._seed = folder, seed
+        super().__init__(folder, config, runs)
+        self._seed = seed
         self.watch = SoakWatch()
         self.malformed = 0  # malformed commands sent
         self.unserved: list[str] = []  # visitors that were not served
-        self._resources = ExitStack()
-        self._stack = self._resources.enter_context(Stack(folder, config, runs))
         self._plans = [shipped(plan) for plan in PLANS]
         self._operator = Operator()
         self._t_resume = 0.0  # until when the operator leaves another one's command alone; 0: not
@@ -65,7 +64,10 @@ class SoakStand:
     def __enter__(self) -> Self:
         """Start the processes; raises CliError if one does not start."""
         try:
-            self._start()
+            self.start_rig("--seed", str(self._seed))
+            self.start(record=True)
+            self._wait(lambda: bool(self.watch.last_state), START_S, "palmd run did not start")
+            self.start_page()
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -77,13 +79,7 @@ class SoakStand:
         self._over.set()
         for visitor in self._visitors:
             visitor.join()
-        self._resources.close()
-
-    def _start(self) -> None:
-        self._stack.start_rig("--seed", str(self._seed))
-        self._stack.start(record=True)
-        self._wait(lambda: bool(self.watch.last_state), START_S, "palmd run did not start")
-        self._stack.start_page()
+        super().__exit__(kind, error, traceback)
 
     # ---- operation ---------------------------------------------------------------------------------------
 
@@ -109,35 +105,36 @@ class SoakStand:
             if t > t_end:
                 raise CliError(
                     RIG_FAILED,
-                    f"{otherwise}: {self.watch.state}\n{self._stack.children['daemon'].error_output()}".strip(),
+                    f"{otherwise}: {self.watch.state}\n{self.children['daemon'].error_output()}".strip(),
                 )
             self._listen(t + LOOK_S)
             if operate:
                 self._operate(t)
 
     def _listen(self, t_end: float) -> None:
-        for message in self._stack.subscriber.until(t_end):
+        for message in self.subscriber.until(t_end):
             self.watch.take(message)
             self._operator.take(message.topic, message.fields)
             if message.topic == "palm/loop":
                 self._look(message)
-        self._stack.check_alive()
+        self.check_alive()
 
     def _look(self, loop: Message) -> None:
         """Update the rig's status each second, and sample the processes each `SAMPLE_S`."""
         t = time.monotonic()
-        self.watch.on_palms = self._stack.rig_status()["on_palms"]
+        self.watch.on_palms = self.rig_status()["on_palms"]
         if t - self._t_sampled >= SAMPLE_S:
             self._t_sampled = t
             for name, number in self._processes().items():
                 sample = _sampled(number)
                 if sample is not None:
-                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else sample.rss_mb
-                    self.watch.sample(name, t, Process(rss_mb, sample.descriptors, sample.threads))
+                    rss_mb, descriptors, threads = sample
+                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else rss_mb
+                    self.watch.sample(name, t, rss_mb, descriptors, threads)
 
     def _processes(self) -> dict[str, int]:
         """Process ids of the children and of the daemon's helpers, by name."""
-        found: dict[str, int] = {name: child.number for name, child in self._stack.children.items()}
+        found: dict[str, int] = {name: child.number for name, child in self.children.items()}
         daemon = found["daemon"]
         with suppress(OSError):
             for text in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
@@ -158,13 +155,13 @@ class SoakStand:
             self._t_fallen = t
         elif t - self._t_fallen > FALLEN_S:
             self._t_fallen = t
-            self._stack.ask_rig("new_object")
+            self.ask_rig("new_object")
         command = self._operator.decide(t)
         if command is not None:
             self._command(command)
 
     def _command(self, name: str) -> bool:
-        return bool(self._stack.client.ask(name)["ok"])
+        return bool(self.client.ask(name)["ok"])
 
     # ---- acts --------------------------------------------------------------------------------------------
 
@@ -173,7 +170,7 @@ class SoakStand:
         match act:
             case InjectedFault():
                 how = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                self._stack.ask_rig("mischief", **how)
+                self.ask_rig("mischief", **how)
             case OperatorCommand(command="plan"):
                 self._change_plan()
                 self._t_resume = time.monotonic() + act.for_s
@@ -190,7 +187,7 @@ class SoakStand:
         self._command("stop")
         with suppress(CliError):
             self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms did not stop")
-            if self._stack.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
+            if self.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
                 self._plans.reverse()
 
     def _visit(self, visit: Visitor) -> None:
@@ -203,7 +200,7 @@ class SoakStand:
             self.unserved.append(f"{visit.who}: {str(error)[:120]}")
 
     def _listen_in(self, t_end: float) -> None:
-        with Subscriber(self._stack.bus.publish, topics=("palm/",)) as subscriber:
+        with Subscriber(self.bus.publish, topics=("palm/",)) as subscriber:
             for _ in subscriber.until(t_end):
                 if self._over.is_set():
                     break
@@ -212,12 +209,12 @@ class SoakStand:
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.setsockopt(zmq.RCVHWM, 1)
             socket.setsockopt(zmq.LINGER, 0)
-            socket.connect(self._stack.bus.publish)
+            socket.connect(self.bus.publish)
             socket.subscribe(b"")
             self._over.wait(t_end - time.monotonic())
 
     def _open_page(self, t_end: float) -> None:
-        address, _, token = self._stack.page.partition("/#token=")
+        address, _, token = self.page.partition("/#token=")
         socket = f"ws{address.removeprefix('http')}{SOCKET}"
         with connect(socket, origin=Origin(address), max_size=None, proxy=None) as page:
             page.send(json.dumps({"token": token}))
@@ -229,7 +226,7 @@ class SoakStand:
     def _ask_much(self, t_end: float) -> None:
         with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
             socket.setsockopt(zmq.LINGER, round(ANSWER_S * 1e3))
-            socket.connect(self._stack.bus.command)
+            socket.connect(self.bus.command)
             while time.monotonic() < t_end and not self._over.is_set():
                 socket.send(msgpack.packb({"id": 1, "cmd": "status"}))
                 socket.send(MALFORMED)
@@ -257,10 +254,10 @@ class SoakStand:
 
     def finish(self) -> list[Path]:
         """End the daemon, then the recorder; returns the recording's files in their order."""
-        self._stack.children["daemon"].stop()
-        for message in self._stack.subscriber.until(time.monotonic() + 1.0):
+        self.children["daemon"].stop()
+        for message in self.subscriber.until(time.monotonic() + 1.0):
             self.watch.take(message)
-        return self._stack.recorded(RECORDED_S)
+        return self.recorded(RECORDED_S)
 
     def keep(self, folder: Path) -> None:
         """Copy the processes' error output to `folder`."""
@@ -268,8 +265,8 @@ class SoakStand:
             shutil.copy(path, folder)
 
 
-def _sampled(number: int) -> Process | None:
-    """Resources of a process; None if it has ended."""
+def _sampled(number: int) -> tuple[float, int, int] | None:
+    """Resident memory (MB), open descriptors and threads of a process; None if it has ended."""
     try:
         lines = Path(f"/proc/{number}/status").read_text(encoding="utf-8").splitlines()
         descriptors = len(list(Path(f"/proc/{number}/fd").iterdir()))
@@ -278,4 +275,4 @@ def _sampled(number: int) -> Process | None:
     fields = dict(line.split(":", 1) for line in lines if ":" in line)
     if "VmRSS" not in fields:
         return None
-    return Process(int(fields["VmRSS"].split()[0]) * 1.024e-3, descriptors, int(fields["Threads"]))
+    return int(fields["VmRSS"].split()[0]) * 1.024e-3, descriptors, int(fields["Threads"])

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 
 from palmd import __version__, blas
-from palmd.cli.table import MOVED, RENAMED, Command, listing, load_module, parser_of, subcommands
+from palmd.cli.table import MOVED, RENAMED, SHORT, Command, listing, load_module, parser_of, subcommands
 from palmd.console import output
 from palmd.console.arguments import Parser, one_of
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
@@ -59,7 +59,7 @@ def status_of(requested: Callable[[], tuple[ModuleType, argparse.Namespace]]) ->
 
 def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
     """Return the requested command's module and arguments. Raises CliError for a command that has moved."""
-    given = _with_new_names(list(sys.argv[1:] if argv is None else argv))
+    given = _with_full_name(list(sys.argv[1:] if argv is None else argv))
     chosen = _parser().parse_args(given)
     if chosen.command is None:
         _parser().print_help(sys.stderr)
@@ -75,8 +75,8 @@ def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
     return module, parser_of(command, module).parse_args(words)
 
 
-def _with_new_names(words: list[str]) -> list[str]:
-    """Replace a former command name, with a note on standard error.
+def _with_full_name(words: list[str]) -> list[str]:
+    """Replace a short command name, and a former one with a note on standard error.
 
     Raises CliError for a command that is a study now.
     """
@@ -86,10 +86,9 @@ def _with_new_names(words: list[str]) -> list[str]:
             study = " ".join(words[count : count + 1]) or "NAME"
             raise CliError(USAGE, f"palmd {name}: {MOVED[name].replace('NAME', study)}")
     if words and words[0] in RENAMED:
-        new = RENAMED[words[0]]
-        print(f"palmd {words[0]} is now: palmd {new}", file=sys.stderr)
-        return [*new.split(), *words[1:]]
-    return words
+        print(f"palmd {words[0]} is now: palmd {RENAMED[words[0]]}", file=sys.stderr)
+    full = (RENAMED | SHORT).get(words[0], words[0]) if words else ""
+    return [*full.split(), *words[1:]]
 
 
 def _take_any_terminal() -> None:

@@ -34,18 +34,15 @@ _BACKENDS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "config",
-        type=Path,
-        nargs="?",
-        metavar="CONFIG",
+    add = parser.add_argument
+    add(
+        "config", type=Path, nargs="?", metavar="CONFIG",
         help="compile only what a run with this configuration needs (default: what any rig with flat palms needs)",
-    )
-    parser.add_argument(
-        "--all",
-        action="store_true",
+    )  # fmt: skip
+    add(
+        "--all", action="store_true",
         help="also compile what other systems need: curved palms, flat sides, a pivoting grasp, three palms in space",
-    )
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,9 +7,9 @@ import json
 import sys
 from pathlib import Path
 
-from palmd.cli.logs import open_output, read
-from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, raise_if_other
+from palmd.cli.logs import check_not_input, open_output, read
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
+from palmd.console.extras import importing
 from palmd.events import PalmSample
 from palmd.jsonvalues import or_none
 from palmd.outlinefile import Outline, OutlineError, read_outline
@@ -34,19 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare first, then write the outputs; CliError if the comparison fails."""
-    inputs = [
-        path for path in (arguments.result, arguments.track, arguments.log, arguments.outline) if path is not None
-    ]
-    for output in (arguments.output, arguments.figure):
-        if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in inputs):
-            raise CliError(BAD_INPUT, f"{output}: is an input; write to another file")
+    inputs = (arguments.result, arguments.track, arguments.log, arguments.outline)
+    check_not_input((arguments.output, arguments.figure), inputs)
     if arguments.figure is not None and arguments.figure.suffix != ".svg":
         raise CliError(BAD_INPUT, f"{arguments.figure}: the figure is an SVG; name it .svg")
-    try:
+    with as_cli_error(ResultError, TrackError, OutlineError):
         result, track = read_result(arguments.result), read_track(arguments.track)
         outline = None if arguments.outline is None else read_outline(arguments.outline)
-    except (ResultError, TrackError, OutlineError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     rig, palms = None, []
     if arguments.log is not None:
         log = read(arguments.log)
@@ -67,12 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(result: Result, found: CameraComparison, outline: Outline | None, path: Path) -> None:
-    try:
+    with importing("--figure", "matplotlib", "report"):
         from palmd.report import ground_truth_figure
-    except ModuleNotFoundError as error:
-        raise_if_other("matplotlib", error)
-        raise missing("--figure", "matplotlib", "report") from None
-    try:
+    with writing(path):
         ground_truth_figure.save(result, found, outline, path)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

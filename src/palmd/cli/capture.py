@@ -28,12 +28,12 @@ from palmd.calibration import standoff as standoff_calibration
 from palmd.calibration.cylinder_session import progress_line, wait_for_touch, wait_until_removed
 from palmd.cli.build import prepare_kernels
 from palmd.cli.capture_bundle import Bundle, with_pads
-from palmd.cli.init import Prompt, ask, number, one_of
+from palmd.cli.init import YES_OR_NO, Prompt, ask, number, or_word
 from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import count, seed
 from palmd.console.configured import configured, default_path
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
 from palmd.harness.operator import PlanRun, Status, why
@@ -57,7 +57,6 @@ READY_S = 60.0
 PACKED_S = 300.0
 ATTEMPTS = 3
 """Attempts at a step on the emulated rig."""
-YES_OR_NO = one_of({"yes": "", "no": ""})
 _OURS = ("configuration", "plan", "pad", "arm")
 """Findings of `palmd doctor` that must be ok; others at most slow palmd down."""
 
@@ -105,10 +104,8 @@ def _plan(path: Path | None, config: Config) -> Path:
     """Return the plan, which must end and be within the limits; else CliError."""
     if path is None:
         raise CliError(BAD_INPUT, "the configuration names no plan: give one with --plan")
-    try:
+    with as_cli_error(ConfigError):
         load_trajectory(path, motion_limits(config))
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if _read(path).get("repeat") == "forever":
         raise CliError(BAD_INPUT, f"{path}: repeats forever: a capture needs a plan that ends")
     return path
@@ -145,7 +142,7 @@ class Guide:
         diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, number(2, 200))
         other_mm = self._ask(
             "Diameter of a second cylinder, different by a third or more, or none: then the pads' height over the hinge"
-            " line stays unknown", second if self._emulated else "none", _number_or("none", 2, 200),
+            " line stays unknown", second if self._emulated else "none", or_word("none", math.nan, number(2, 200)),
         )  # fmt: skip
         self._begin_daemon()
         arguments = argparse.Namespace(
@@ -192,7 +189,7 @@ class Guide:
         _print(f"Remove {name}. Turn it between the jaws of the calipers, in the plane in which it moved.")
         largest = self._ask("Its largest width in mm", "", number(1, 300))
         smallest = self._ask("Its smallest width in mm", "", number(1, largest))
-        mass_g = self._ask("Its mass in g, or unknown", "unknown", _number_or("unknown", 0.1, 5000))
+        mass_g = self._ask("Its mass in g, or unknown", "unknown", or_word("unknown", math.nan, number(0.1, 5000)))
         photo = self._ask("File name in photos/ of a photo with a ruler beside it", f"{name}.jpg")
         return Measured(name, path, photo, largest, smallest, CALIPERS_SD_MM, mass_g)
 
@@ -295,12 +292,6 @@ def _word(text: str) -> str:
     if not re.fullmatch(r"[\w-]{1,40}", text):
         raise ValueError("one word of letters, digits, - and _")
     return text
-
-
-def _number_or(word: str, low: float, high: float) -> Callable[[str], float]:
-    """Reader of a number within the range, or NaN for the word."""
-    read = number(low, high)
-    return lambda text: math.nan if text and word.startswith(text.lower()) else read(text)
 
 
 def _print(text: str) -> None:

@@ -9,11 +9,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from palmd.cli.logs import check_writable, open_output, read_any
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import as_cli_error
 from palmd.console.progress import working
-from palmd.record.calipers import TRUTH, CaliperError, Measured, Score, read_table, scored
+from palmd.record.calipers import TRUTH, CaliperError, Measured, read_table, scored
 from palmd.record.verdict import has_estimate
 
+_NUMBERS = ("estimate", "sd", "measured", "whole", "sigmas")
 SURE = 3.0
 """Acceptable error of an estimate in standard deviations."""
 
@@ -21,10 +22,8 @@ SURE = 3.0
 def compare(arguments: argparse.Namespace) -> int:
     """Write one JSON object, and a table on standard error; CliError if the bundle is invalid."""
     folder = arguments.log
-    try:
+    with as_cli_error(CaliperError):
         table = read_table(folder)
-    except CaliperError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     check_writable(arguments.output)
     objects = []
     for measured in table:
@@ -50,17 +49,7 @@ def _row(measured: Measured, result: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": result["verdict"],
         "coverage": result["coverage"],
         "reason": result.get("reason"),
-        "scores": {name: _numbers(score) for name, score in scores.items()},
-    }
-
-
-def _numbers(score: Score) -> dict[str, Any]:
-    return {
-        "estimate": score.estimate,
-        "sd": score.sd,
-        "measured": score.measured,
-        "whole": score.whole,
-        "sigmas": score.sigmas,
+        "scores": {name: {key: getattr(score, key) for key in _NUMBERS} for name, score in scores.items()},
     }
 
 

@@ -13,8 +13,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, raise_if_other
+from palmd.console.errors import BAD_INPUT, CliError, writing
+from palmd.console.extras import importing
 
 PICTURES = (".svg", ".pdf", ".png")
 _PLACED = re.compile(r"(.*?):(\d+):(\d+): (.*)", re.DOTALL)
@@ -93,17 +93,12 @@ def _draw(files: Sequence[Path], output: Path, *, quiet: bool) -> None:
     if len(plans) != 1 or len(configs) > 1:
         what = f"there are {len(plans)} plans and {len(configs)} configurations"
         raise CliError(BAD_INPUT, f"--draw: give one plan, and its configuration if it is not the shipped one: {what}")
-    try:
+    with importing("--draw", "matplotlib", "report"):
         from palmd.report.plan_figure import save
-    except ModuleNotFoundError as error:
-        raise_if_other("matplotlib", error)
-        raise missing("--draw", "matplotlib", "report") from None
     config = load_config(configs[0] if configs else shipped("palmd.yaml"))
     limits = motion_limits(config)
-    try:
+    with writing(output):
         summary = save(compile_plan(load_plan(plans[0]), limits), limits, config, output)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
     if not quiet:
         print(f"{output}: {summary}")
 

@@ -16,10 +16,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.cli.logs import open_output
-from palmd.console.columns import aligned
-from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, raise_if_other
+from palmd.cli.logs import check_not_input, open_output
+from palmd.console.columns import aligned, number
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
+from palmd.console.extras import importing
 from palmd.jsonvalues import or_none
 from palmd.report.alignment import AlignmentError, TrajectoryComparison, compare
 from palmd.report.tracks import PoseTrack, TrackFileError, read_pose_track
@@ -39,19 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compare first, then write the outputs; CliError for files that cannot be read or aligned."""
     files, reference = arguments.files, arguments.reference
-    read = [*files, *([reference] if reference else [])]
-    for output in (arguments.output, arguments.figure):
-        if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in read):
-            raise CliError(BAD_INPUT, f"{output}: is an input; write to another file")
+    check_not_input((arguments.output, arguments.figure), (*files, reference))
     if arguments.figure is not None and arguments.figure.suffix not in _FIGURES:
         raise CliError(BAD_INPUT, f"{arguments.figure}: use the suffix {', '.join(_FIGURES)} for a figure")
-    try:
+    with as_cli_error(TrackFileError, AlignmentError):
         sources = [read_pose_track(path) for path in files]
         common = read_pose_track(reference) if reference else None
         pairs = _pairs(sources, common)
         found = [compare(true, each, fit=each.truth is not true) for true, each in pairs]
-    except (TrackFileError, AlignmentError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if arguments.figure is not None:
         _draw(found, pairs, arguments.figure)
     if arguments.output is not None:
@@ -84,16 +79,12 @@ def _table(found: list[TrajectoryComparison]) -> str:
             f"{each.t[-1] - each.t[0]:.1f} s",
             f"{each.valid:.0%}" if math.isfinite(each.valid) else "–",
             f"{each.offset_s:+.3f} s" if each.fitted else "same",
-            *(_number(value, 1e3, "mm", 3) for value in (place.rms, place.largest)),
-            *(_number(value, 180.0 / math.pi, "°", 2) for value in (turn.rms, turn.largest)),
-            *(_number(value, 1e6, "µm", 0) for value in (outline.rms, outline.largest)),
+            *(number(value, 1e3, 3, " mm") for value in (place.rms, place.largest)),
+            *(number(value, 180.0 / math.pi, 2, " °") for value in (turn.rms, turn.largest)),
+            *(number(value, 1e6, 0, " µm") for value in (outline.rms, outline.largest)),
         )
         rows.append((each.source, cells))
     return aligned(rows) + "\nposition, rotation, outline: RMS errors; the outline's where it was touched"
-
-
-def _number(value: float, factor: float, unit: str, digits: int) -> str:
-    return f"{value * factor:.{digits}f} {unit}" if math.isfinite(value) else "–"
 
 
 def _as_map(each: TrajectoryComparison) -> dict[str, Any]:
@@ -115,12 +106,7 @@ def _as_map(each: TrajectoryComparison) -> dict[str, Any]:
 
 
 def _draw(found: list[TrajectoryComparison], pairs: list[tuple[PoseTrack, PoseTrack]], path: Path) -> None:
-    try:
+    with importing("--figure", "matplotlib", "report"):
         from palmd.report import compare_figure
-    except ModuleNotFoundError as error:
-        raise_if_other("matplotlib", error)
-        raise missing("--figure", "matplotlib", "report") from None
-    try:
+    with writing(path):
         compare_figure.save([(each, pair[1].body, pair[0].body) for each, pair in zip(found, pairs, strict=True)], path)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

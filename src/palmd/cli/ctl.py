@@ -36,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         each.add_argument("--json", action="store_true", help="print the answer as JSON")
     for action in common._actions:
         action.default = argparse.SUPPRESS  # options after the command override those before it
+    kept = f"keep control until Ctrl-C; moving palms are held {KEPT_S:g} s after this command has ended"
+    file = "the plan (YAML), or the name of one in the folder of the daemon's configured plan"
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
         if not spec.by_hand:
@@ -43,18 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
         if spec.moves:
             chosen.add_argument("--take", action="store_true", help="take control from another client")
-            chosen.add_argument(
-                "--keep",
-                action="store_true",
-                help=f"keep control until Ctrl-C; moving palms are held {KEPT_S:g} s after this command has ended",
-            )
+            chosen.add_argument("--keep", action="store_true", help=kept)
         if name == "plan":
-            chosen.add_argument(
-                "path",
-                type=Path,
-                metavar="FILE",
-                help="the plan (YAML), or the name of one in the folder of the daemon's configured plan",
-            )
+            chosen.add_argument("path", type=Path, metavar="FILE", help=file)
         elif name == "note":
             chosen.add_argument(
                 "text", nargs="+", metavar="TEXT", help="text of the note, stored with the current time of the run"

@@ -20,7 +20,7 @@ from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import prepare_kernels
 from palmd.config.any_config import AnyConfig, BusConfig
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.extras import require
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
@@ -65,10 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises CliError if the rig or the daemon fails.
     """
-    try:
+    with as_cli_error(ConfigError):
         config = load_any_config(arguments.config or shipped(DEMOS.get(arguments.system, RIGS[arguments.rig])))
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:
         config = perfect(config)
     physics = arguments.physics
@@ -88,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
         leaving.enter_context(stack)
         if not stack.start_rig("--sockets", "--physics", physics, *rig_arguments):
             return 0  # stopped before the start
-        _introduce(stack.rig_info["seed"], config.system)
+        _print(LIVE[config.system].shows)
+        _print(f"Seed {stack.rig_info['seed']}; the object is unknown to the daemon. Watch it with:")
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
         comparison = _comparison(config, stack.rig_info["seed"], physics)
@@ -111,11 +110,6 @@ def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison
     world += " in MuJoCo" if physics == "mujoco" else ""
     comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
     return comparison
-
-
-def _introduce(seed: int, system: str) -> None:
-    _print(LIVE[system].shows)
-    _print(f"Seed {seed}; the object is unknown to the daemon. Watch it with:")
 
 
 def _name_other_views(bus: BusConfig) -> None:

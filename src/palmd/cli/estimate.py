@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from palmd import observer
-from palmd.cli.logs import add_calibration_argument, open_output, read_any
-from palmd.cli.outlines import read_outlines
+from palmd.cli.logs import add_calibration_argument, open_output, read_any, read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
 from palmd.record.replay import texts, tick_count
@@ -16,21 +15,13 @@ from palmd.record.systems import NotYetError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.jsonl", help="- for standard output")
-    parser.add_argument(
-        "--observer",
-        type=_observer,
-        default=observer.OBSERVERS[0],
-        metavar="|".join(observer.OBSERVERS),
-        help="default: %(default)s",
-    )
-    parser.add_argument(
-        "--shape",
-        type=Path,
-        metavar="OUTLINE|FOLDER",
-        help="stored outline or folder of outlines, one of which the object may have",
-    )
+    add = parser.add_argument
+    add("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
+    add("-o", "--output", type=Path, required=True, metavar="OUT.jsonl", help="- for standard output")
+    add("--observer", type=_observer, default=observer.OBSERVERS[0], metavar="|".join(observer.OBSERVERS),
+        help="default: %(default)s")  # fmt: skip
+    add("--shape", type=Path, metavar="OUTLINE|FOLDER",
+        help="stored outline or folder of outlines, one of which the object may have")  # fmt: skip
     add_calibration_argument(parser)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from palmd.bus.addresses import add_config, command_address, publish_address
@@ -25,21 +25,12 @@ PLAN = "explore"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add, default = parser.add_argument, ExploreGoal()
-    add("--coverage", type=_share, default=default.coverage, metavar="SHARE",
+    add("--coverage", type=_within(1.0), default=default.coverage, metavar="SHARE",
         help="share of the reachable normals at which it ends (default: %(default)s)")  # fmt: skip
-    add(
-        "--band-mm",
-        type=_band,
-        metavar="MM",
-        help="also require that the outline's standard deviation is below this at all of them",
-    )
-    add(
-        "--seconds",
-        type=_seconds,
-        default=default.time_limit_s,
-        metavar="S",
-        help="time limit in s (default: %(default)g)",
-    )
+    add("--band-mm", type=_within(10.0), metavar="MM",
+        help="also require that the outline's standard deviation is below this at all of them")  # fmt: skip
+    add("--seconds", type=_within(MAX_DURATION_S), default=default.time_limit_s, metavar="S",
+        help="time limit in s (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
     add_config(parser)
@@ -109,21 +100,14 @@ def _mm(band_m: float) -> str:
     return "not known" if math.isnan(band_m) else f"{band_m * 1e3:.3f} mm"
 
 
-def _share(text: str) -> float:
-    return _within(text, 1.0)
+def _within(most: float) -> Callable[[str], float]:
+    """Argument type: a number above 0, at most `most`."""
 
+    def number(text: str) -> float:
+        value = float(text)
+        if not 0.0 < value <= most:
+            share = "; did you mean a share of 1, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
+            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}{share}")
+        return value
 
-def _band(text: str) -> float:
-    return _within(text, 10.0)
-
-
-def _seconds(text: str) -> float:
-    return _within(text, MAX_DURATION_S)
-
-
-def _within(text: str, most: float) -> float:
-    value = float(text)
-    if not 0.0 < value <= most:
-        share = "; did you mean a share of 1, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
-        raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}{share}")
-    return value
+    return number

@@ -11,7 +11,7 @@ import itertools
 from pathlib import Path
 
 from palmd.cli.drawings import curves_of_result, drawing, write_drawing
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
 from palmd.console.extras import missing
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
@@ -26,14 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), or a RESULT.json")
     parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE|FOLDER",
+        "-o", "--output", type=Path, required=True, metavar="FILE|FOLDER",
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
         "with --as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
-    )
+    )  # fmt: skip
     parser.add_argument("--as", dest="form", choices=FORMATS, help="the format, if the name does not determine it")
 
 
@@ -51,12 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     if form in DRAWINGS:
         drawing(DRAWINGS[form])
     try:
-        recording = read_any_run(source)
-        count = itertools.count(1)
-        with Progress("export", passes(form) * recording.layout.count, "messages") as progress:
-            export(recording, target, form, lambda: progress.at(next(count)))
-    except (RunError, ExportError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
+        with as_cli_error(RunError, ExportError), writing(target):
+            recording = read_any_run(source)
+            count = itertools.count(1)
+            with Progress("export", passes(form) * recording.layout.count, "messages") as progress:
+                export(recording, target, form, lambda: progress.at(next(count)))
     except ModuleNotFoundError as error:
         package, extra = _NEEDED.get(form, ("rerun-sdk", "rerun"))
         if (error.name or "").partition(".")[0] not in ("rerun", "pandas", "pyarrow"):
@@ -64,7 +59,5 @@ def run(arguments: argparse.Namespace) -> int:
         raise missing(f"the format {form}", package, extra) from None
     except ImportError as error:  # of pandas, which has no pyarrow
         raise missing(f"the format {form}", "pyarrow", "lerobot") from error
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     print_notes(recording.notes)
     return 0

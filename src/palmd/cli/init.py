@@ -8,10 +8,11 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -24,6 +25,8 @@ from palmd.system.mechanism import PALMS
 
 STANDARD_GRAVITY = 9.81
 PLAN = "plans/explore.yaml"
+REPORTED = "reported"
+Meaning = TypeVar("Meaning")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,34 +38,32 @@ class Prompt:
     read: Callable[[str], Any] = str
 
 
-def one_of(meanings: Mapping[str, str]) -> Callable[[str], str]:
+def one_of(words: Collection[str]) -> Callable[[str], str]:
     """Reader of one of several words; unambiguous abbreviations are accepted."""
 
     def read(answer: str) -> str:
-        found = [word for word in meanings if word.startswith(answer.lower())]
+        found = [word for word in words if word.startswith(answer.lower())]
         if len(found) != 1:
-            raise ValueError(f"one of {', '.join(meanings)}")
+            raise ValueError(f"one of {', '.join(words)}")
         return found[0]
 
     return read
+
+
+YES_OR_NO = one_of(("yes", "no"))
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
     """Reader of a number within a range."""
 
     def read(answer: str) -> float:
-        value = float(answer)
-        if not low <= value <= high:
-            raise ValueError
-        return value
+        with suppress(ValueError):
+            value = float(answer)
+            if low <= value <= high:
+                return value
+        raise ValueError(f"a number from {low:g} to {high:g}")
 
-    def checked(answer: str) -> float:
-        try:
-            return read(answer)
-        except ValueError:
-            raise ValueError(f"a number from {low:g} to {high:g}") from None
-
-    return checked
+    return read
 
 
 def whole(*allowed: int) -> Callable[[str], int]:
@@ -76,16 +77,9 @@ def whole(*allowed: int) -> Callable[[str], int]:
     return read
 
 
-REPORTED = "reported"
-
-
-def reported_or(read: Callable[[str], float]) -> Callable[[str], float | str]:
-    """Reader that also accepts `REPORTED`, for the value that the device reports."""
-
-    def either(answer: str) -> float | str:
-        return REPORTED if answer and REPORTED.startswith(answer.lower()) else read(answer)
-
-    return either
+def or_word(word: str, meaning: Meaning, read: Callable[[str], float]) -> Callable[[str], float | Meaning]:
+    """Reader that also accepts `word` or its beginning, and returns its `meaning`."""
+    return lambda answer: meaning if answer and word.startswith(answer.lower()) else read(answer)
 
 
 PADS = {
@@ -128,8 +122,8 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield f"pad{palm}", Prompt(f"Port of pad {palm}", PORTS.get(answers["pads"], PORT).format(palm))
     if answers["pads"] == "evdev":
         yield "counts_per_mm", Prompt("Its counts per mm, or reported: as reported by the device", REPORTED,
-                                        reported_or(number(1e-3, 1000)))  # fmt: skip
-        yield "pressure", Prompt("Does it report a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+                                        or_word(REPORTED, REPORTED, number(1e-3, 1000)))  # fmt: skip
+        yield "pressure", Prompt("Does it report a pressure, yes or no", "no", YES_OR_NO)
     if answers["pads"] == "taxels":
         yield from _array_questions(answers)
     if answers["pads"] == "strip":

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from palmd import keys
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import as_cli_error
 from palmd.keys import PUBLIC, SERVER, KeysError, Role
 
 RESTART = "takes effect after a restart of palmd"
@@ -38,11 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Execute one action; CliError if a file cannot be created, read or trusted."""
-    try:
+    with as_cli_error(KeysError):
         for line in _ACTIONS[arguments.action](arguments):
             print(line)
-    except KeysError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Input of event logs and recorded runs, and output files, for commands."""
+"""Input of event logs, recorded runs and stored outlines, and output files, for commands."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
 from palmd.console.notes import print_notes
 from palmd.console.output import strict_output
 from palmd.console.progress import working
+from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import MAP_LENGTH, EventLog, LogError
 from palmd.record.systems import NotYetError, System, read_log_of_any, system_of
@@ -28,13 +29,9 @@ STDOUT = Path("-")
 def add_calibration_argument(parser: argparse.ArgumentParser) -> None:
     """Add the argument that replaces the log's standard deviations of the rig's constants."""
     parser.add_argument(
-        "--calibration-sd",
-        type=_calibration_sd,
-        nargs="+",
-        default=[],
-        metavar="KEY=VALUE",
+        "--calibration-sd", type=_calibration_sd, nargs="+", default=[], metavar="KEY=VALUE",
         help=f"standard deviations of the rig's constants, instead of the log's: {', '.join(_names())}",
-    )
+    )  # fmt: skip
 
 
 def _names() -> dict[str, str]:
@@ -73,11 +70,8 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
 
     `calibration_sd`: arguments of `RigDescription.known_to`, instead of the log's own.
     """
-    try:
-        with working(f"reading {path}"):
-            system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
-    except (LogError, RunError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
+    with as_cli_error(LogError, RunError), working(f"reading {path}"):
+        system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     print_notes(log.notes)
     try:
         return system, system.known_to(log, dict(calibration_sd))
@@ -89,6 +83,20 @@ def _recorded(path: Path) -> tuple[System, EventLog]:
     from palmd.record.run import read_run
 
     return system_of(None), read_run(path).event_log()
+
+
+def read_outlines(path: Path) -> tuple[Outline, ...]:
+    """Read the outline in a file, or all in a folder; CliError if one is invalid."""
+    with as_cli_error(OutlineError):
+        return read_library(path)
+
+
+def check_not_input(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
+    """Raise CliError if an output is one of the inputs."""
+    read = [path for path in inputs if path is not None and path.exists()]
+    for output in outputs:
+        if output is not None and output.exists() and any(map(output.samefile, read)):
+            raise CliError(BAD_INPUT, f"{output}: is an input; write to another file")
 
 
 def check_writable(path: Path) -> None:
@@ -112,12 +120,8 @@ def open_output(path: Path, log: Path) -> Iterator[TextIO]:
         except OSError as error:
             raise CliError(BAD_INPUT, f"standard output: cannot be written: {error.strerror or error}") from None
         return
-    try:
+    with writing(path):
         if path.exists() and path.samefile(log):
             raise CliError(BAD_INPUT, f"{path}: is the log itself; write to another file")
         with path.open("w", encoding="utf-8") as stream:
             yield stream
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

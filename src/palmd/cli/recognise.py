@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from palmd import observer
-from palmd.cli.logs import STDOUT, open_output, read
-from palmd.cli.outlines import read_outlines
+from palmd.cli.logs import STDOUT, open_output, read, read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.events import ObjectEstimate

@@ -27,30 +27,15 @@ from palmd.record.systems import Reconstructed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "log",
-        type=Path,
-        metavar="LOG",
-        help="an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="RESULT.json",
+    add = parser.add_argument
+    add("log", type=Path, metavar="LOG",
+        help="an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture")  # fmt: skip
+    add("-o", "--output", type=Path, required=True, metavar="RESULT.json",
         help="- for standard output; .svg, .dxf, .csv: the outline as a drawing or points, x and y in mm;"
-        " .stl, .ply, .obj: the surface of a body in space, in mm",
-    )
-    parser.add_argument(
-        "--mesh",
-        type=Path,
-        metavar="FILE",
-        help="also write the surface of a body in space: .stl, .ply (coloured by its band) or .obj, in mm",
-    )
-    parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of the blind search (default: %(default)s)"
-    )
+        " .stl, .ply, .obj: the surface of a body in space, in mm")  # fmt: skip
+    add("--mesh", type=Path, metavar="FILE",
+        help="also write the surface of a body in space: .stl, .ply (coloured by its band) or .obj, in mm")  # fmt: skip
+    add("--seed", type=seed, default=0, metavar="N", help="seed of the blind search (default: %(default)s)")
     add_calibration_argument(parser)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.config.any_config import BusConfig
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, as_cli_error
 from palmd.console.progress import Progress
 from palmd.daemon.systemd import Notifier
 from palmd.harness.processes import StopRequest, start_beside
@@ -38,21 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration, palmd.yaml")
     parser.add_argument(
-        "--key",
-        type=Path,
-        metavar="FILE",
+        "--key", type=Path, metavar="FILE",
         help="secret key with role operate, for a daemon with keys (default: the daemon's own, from its bus.keys)",
-    )
+    )  # fmt: skip
     parser.add_argument("--truth", metavar="ADDRESS", help="address at which an emulated rig publishes its truth")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Record; CliError if the configuration or an address is invalid."""
-    try:
+    with as_cli_error(ConfigError, KeysError):
         config = load_any_config(arguments.config)
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    key = _credentials(config.bus, arguments.key)
+        key = _credentials(config.bus, arguments.key)
     truth = () if arguments.truth is None else (arguments.truth,)
     notifier = Notifier()
 
@@ -60,7 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"listening to {config.bus.publish}", flush=True)
         notifier.ready()
 
-    with StopRequest() as stop, _alone(config.record.directory, config.bus.publish):
+    with (
+        StopRequest() as stop,
+        as_cli_error(RecorderLockedError, status=RIG_FAILED),
+        only_recorder(config.record.directory, config.bus.publish),
+    ):
         packing = _Packing()
         record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key)
         packing.finish()
@@ -68,21 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _credentials(bus: BusConfig, path: Path | None) -> Credentials | None:
-    try:
-        if path is not None:
-            return client_credentials(path)
-        return None if bus.keys is None else own_credentials(bus.keys)
-    except KeysError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-
-
-@contextlib.contextmanager
-def _alone(directory: Path, publish: str) -> Iterator[None]:
-    try:
-        with only_recorder(directory, publish):
-            yield
-    except RecorderLockedError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
+    if path is not None:
+        return client_credentials(path)
+    return None if bus.keys is None else own_credentials(bus.keys)
 
 
 class _Packing:

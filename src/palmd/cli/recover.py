@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, as_cli_error, writing
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record import SUFFIX
@@ -25,19 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="the recording (.mcap)")
     parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
+        "-o", "--output", type=Path, metavar="FILE",
         help="output; default: in place of RUN, or RUN.recovered.mcap if a part of RUN cannot be read",
-    )
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Repair and report; return 1 if something is missing. CliError if nothing is readable or the output fails."""
     source: Path = arguments.run
     target: Path = arguments.output or source
-    try:
+    with as_cli_error(RunError):
         recording = read_any_run(source)
         layout = recording.layout
         finished = layout.finished and layout.packed and not layout.damage.damaged
@@ -46,12 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         elif arguments.output is None and finished:
             print(f"{source}: is already complete")
             return 0
-        with Progress("packing", layout.count, "messages") as bar:
+        with writing(target), Progress("packing", layout.count, "messages") as bar:
             pack(source, target, bar.at)
-    except RunError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     print_notes(recording.damage_notes)
     if layout.foreign:
         added = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(layout.foreign.items()))

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from palmd.bus.link import PUBLISH
 from palmd.config.addresses import LocalAddress
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, as_cli_error
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
@@ -32,39 +32,29 @@ MAX_BROKEN_SHOWN = 10
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
-    parser.add_argument(
-        "--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)"
-    )
-    parser.add_argument(
-        "--publish",
-        type=_address,
-        default=PUBLISH,
-        metavar="ADDRESS",
-        help="address to publish at (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--frames", type=int, choices=FRAMES, default=3, help="frames of each message; 2 omits the time (default: 3)"
-    )
+    add = parser.add_argument
+    add("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
+    add("--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)")
+    add("--publish", type=_address, default=PUBLISH, metavar="ADDRESS",
+        help="address to publish at (default: %(default)s)")  # fmt: skip
+    add("--frames", type=int, choices=FRAMES, default=3,
+        help="frames of each message; 2 omits the time (default: 3)")  # fmt: skip
     either = parser.add_mutually_exclusive_group()
     either.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     either.add_argument(
-        "--check",
-        action="store_true",
+        "--check", action="store_true",
         help="compare with the observer's present estimates, and check the lifecycle's rules",
-    )
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Publish or check the run; return 1 if a check finds a difference. CliError for an invalid run."""
-    try:
+    with as_cli_error(RunError, RepublishError):
         recording = read_any_run(arguments.run)
         print_notes(recording.notes)
         if arguments.check:
             return _check(recording)
         _publish(recording, arguments.publish, arguments.speed, arguments.frames, loop=arguments.loop)
-    except (RunError, RepublishError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     return 0
 
 

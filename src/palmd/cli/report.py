@@ -18,11 +18,9 @@ LOGS = (".jsonl", ".jsonl.gz")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "run",
-        type=Path,
-        metavar="RUN",
+        "run", type=Path, metavar="RUN",
         help="a recording, or an event log (.jsonl) of three palms, which is reconstructed for it",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE",
         help="FILE.html or FILE.pdf (default: RUN's name with .html, here)",

@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from palmd.console.columns import number
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.record.index import IndexedRun, annotate, indexed
@@ -136,9 +137,12 @@ def matches(run: IndexedRun, words: Sequence[str], since: str) -> bool:
 
 
 def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
-    """Yield a table: a head and one line per run. Pure."""
-    rows = [_HEAD, *map(_row, runs)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+    """Return a table: a head and one line per run. Pure."""
+    return _left_aligned([_HEAD, *map(_row, runs)])
+
+
+def _left_aligned(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
 
@@ -159,23 +163,21 @@ def _row(run: IndexedRun) -> tuple[str, ...]:
         last.append("not finished")
     return (
         run.name.removesuffix(".mcap"),
-        _number(summary.seconds, 1.0, " s", 0),
+        number(summary.seconds, 1.0, 0, " s"),
         summary.object or "–",
-        _number(summary.touched, 100.0, " %", 0),
-        _number(summary.sd_m, 1e6, " µm", 0),
-        _number(summary.worst_sd_m, 1e6, " µm", 0),
-        _number(summary.mass_kg, 1e3, " g", 1),
+        number(summary.touched, 100.0, 0, " %"),
+        number(summary.sd_m, 1e6, 0, " µm"),
+        number(summary.worst_sd_m, 1e6, 0, " µm"),
+        number(summary.mass_kg, 1e3, 1, " g"),
         ", ".join(last),
     )
 
 
 def compared(runs: Sequence[IndexedRun]) -> Iterator[str]:
-    """Yield a table with one column per run. Pure."""
+    """Return a table with one column per run. Pure."""
     columns = [_HEAD, *map(_row, runs)]
     columns = [(*column[:-1], *_plans(run)) for column, run in zip(columns, (None, *runs), strict=True)]
-    widths = [max(map(len, column)) for column in columns]
-    for row in zip(*columns, strict=True):
-        yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+    return _left_aligned([*zip(*columns, strict=True)])
 
 
 def _plans(run: IndexedRun | None) -> tuple[str, ...]:
@@ -196,14 +198,10 @@ def grouped(runs: Sequence[IndexedRun]) -> Iterator[str]:
             (each.summary.worst_sd_m for each in members if math.isfinite(each.summary.worst_sd_m)), default=math.nan
         )
         masses = [each.summary.mass_kg for each in members if math.isfinite(each.summary.mass_kg)]
-        mass = f", mass {_number(min(masses), 1e3, '', 1)} to {_number(max(masses), 1e3, ' g', 1)}" if masses else ""
+        mass = f", mass {number(min(masses), 1e3, 1)} to {number(max(masses), 1e3, 1, ' g')}" if masses else ""
         count = f"{len(members)} run" + ("" if len(members) == 1 else "s")
-        yield f"{name}: {count}, outline within ±{_number(best, 1e6, ' µm', 0)} at best{mass}"
+        yield f"{name}: {count}, outline within ±{number(best, 1e6, 0, ' µm')} at best{mass}"
         yield from (f"  {line}" for line in list(table(members))[1:])
-
-
-def _number(value: float, factor: float, unit: str, digits: int) -> str:
-    return f"{value * factor:.{digits}f}{unit}" if math.isfinite(value) else "–"
 
 
 def _cut(lines: Iterator[str]) -> Iterator[str]:

@@ -25,22 +25,25 @@ class Command(NamedTuple):
 
 COMMANDS = (
     Command("demo", "cli.demo", "run an emulated rig and the daemon on an unknown object"),
+    Command("demo rig", "cli.rig", "run the emulated rig alone, its ports on pseudo-terminals"),
     Command("run", "cli.run", "run the daemon"),
-    Command("rig", "cli.rig", "run the emulated rig alone, its ports on pseudo-terminals"),
     Command("ctl", "cli.ctl", "command a running daemon"),
     Command("ctl explore", "cli.explore", "have a running daemon touch the whole outline of the object"),
-    Command("capture", "cli.capture", "make the first recording of a rig, guided: check, calibrate, record, bundle"),
     Command("jog", "cli.jog", "turn the palms with the arrow keys"),
     Command("top", "cli.top", "show the live status of a running daemon in this terminal"),
     Command("view", "cli.view", "serve the live page of a running daemon to browsers on this machine"),
     Command("record", "cli.record", "record what a daemon publishes, one file a run"),
+    Command(
+        "record capture", "cli.capture", "make the first recording of a rig, guided: check, calibrate, record, bundle"
+    ),
+    Command("record bundle", "cli.bundle", "pack a recorded run, versions and findings for a bug report"),
     Command("runs", "cli.runs", "list, search and compare recordings"),
+    Command("runs compare", "cli.compare", "compare runs with each other, with the truth or with an external track"),
     Command("runs recover", "cli.recover", "repair a recording that was cut off or damaged"),
     Command("replay", "cli.replay", "publish a recorded run again, or check that the observer repeats its estimates"),
     Command("why", "cli.why", "explain why a recorded run held or stopped"),
     Command("report", "cli.report", "make a page or PDF of a recorded run"),
     Command("report camera", "cli.camera", "compare a reconstruction with a camera's track, clock and frame by fit"),
-    Command("compare", "cli.compare", "compare runs with each other, with the truth or with an external track"),
     Command("export", "cli.export", "convert a recorded run to an event log, CSV, MCAP with JSON, or rerun's format"),
     Command("estimate", "cli.estimate", "run the daemon's observer over an event log or a recorded run"),
     Command("reconstruct", "cli.reconstruct", "estimate outline and motion from a whole event log or recorded run"),
@@ -87,7 +90,6 @@ COMMANDS = (
     Command("doctor", "doctor.command", "find what is missing or misconfigured, and test the arm and the pads"),
     Command("doctor latency", "doctor.latency", "measure how late the loop is on this machine, idle and busy"),
     Command("doctor build", "cli.build", "compile the observers now instead of at the first run"),
-    Command("bundle", "cli.bundle", "pack a recorded run, versions and findings for a bug report"),
     Command("install", "cli.install", "install palmd's systemd services"),
     Command("install completion", "cli.completion", "print the shell completion script"),
     Command("keys", "cli.keys", "create and manage the keys of daemons and clients"),
@@ -101,7 +103,15 @@ RENAMED = {
     "build": "doctor build",
     "completion": "install completion",
 }
-"""Command names before 1.0, which work until 2.0, and their new names."""
+"""Command names before 1.0, which work until 2.0 with a note, and their new names."""
+
+SHORT = {
+    "rig": "demo rig",
+    "capture": "record capture",
+    "bundle": "record bundle",
+    "compare": "runs compare",
+}
+"""Short names, which `palmd --help` does not list, and the names that they stand for."""
 
 STUDIES = "python -m tools.studies"
 """Command that runs a study in a checkout."""
@@ -111,7 +121,7 @@ _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 MOVED = {
     "bench": f"{_STUDY} NAME",
     "observability": "this study is finished; its results are in docs/theory/paper.md",
-    "report paper": f"{_STUDY} paper",
+    "report paper": "this study is finished; its results are in docs/theory/paper.md",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }
 """Messages for former commands that are studies now; NAME is replaced by the next word."""
@@ -122,12 +132,6 @@ def subcommands(name: str = "") -> dict[str, Command]:
     head = f"{name} " if name else ""
     found = {each.name.removeprefix(head): each for each in COMMANDS if each.name.startswith(head)}
     return {word: each for word, each in found.items() if " " not in word}
-
-
-def description(command: Command) -> str:
-    """Return the description for a list, for a group with the names of its commands."""
-    names = ", ".join(subcommands(command.name))
-    return f"{command.help}: {names}" if names and not command.module else command.help
 
 
 def load_module(command: Command) -> ModuleType:
@@ -151,4 +155,4 @@ def parser_of(command: Command, module: ModuleType, program: str = "palmd") -> a
 def listing(commands: Mapping[str, Command]) -> str:
     """One line per command: word and description."""
     width = max(map(len, commands))
-    return "\n".join(f"  {name:{width}}  {description(each)}" for name, each in commands.items())
+    return "\n".join(f"  {name:{width}}  {each.help}" for name, each in commands.items())

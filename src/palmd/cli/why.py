@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import as_cli_error
 from palmd.console.notes import print_notes
 from palmd.jsonvalues import or_none
 from palmd.record.run import RunError, read_any_run
@@ -24,23 +24,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), finished or not")
     parser.add_argument(
-        "--at",
-        type=_time,
-        metavar="T",
+        "--at", type=_time, metavar="T",
         help="time in s since the first message, as in reports (default: the last hold or stop by a fault)",
-    )
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the answer; CliError for an invalid run, or a time outside it."""
-    try:
+    with as_cli_error(RunError, OSError):
         recording = read_any_run(arguments.run)
         print_notes(recording.damage_notes)
         answer = explain(recording, arguments.at)
         print(json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(answer)))
-    except (RunError, OSError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 
@@ -13,3 +14,8 @@ def aligned(lines: Sequence[tuple[str, Sequence[str]]]) -> str:
         "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(cells, widths, strict=True))])
         for name, cells in lines
     )
+
+
+def number(value: float, factor: float, digits: int, unit: str = "") -> str:
+    """Format a value times `factor`; a dash if it is not finite."""
+    return f"{value * factor:.{digits}f}{unit}" if math.isfinite(value) else "–"

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 BAD_INPUT = 1
 USAGE = 2
 RIG_FAILED = 3
@@ -13,3 +17,23 @@ class CliError(Exception):
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
         self.status = status
+
+
+@contextmanager
+def as_cli_error(*kinds: type[Exception], status: int = BAD_INPUT) -> Iterator[None]:
+    """Context in which an exception of these kinds becomes a CliError with its text."""
+    try:
+        yield
+    except kinds as error:
+        raise CliError(status, str(error)) from None
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Context in which an OSError becomes a CliError: the file cannot be written."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

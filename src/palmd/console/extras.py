@@ -7,7 +7,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -24,6 +25,16 @@ def raise_if_other(package: str, error: ModuleNotFoundError) -> None:
 def missing(what: str, package: str, extra: str) -> CliError:
     """Error for `what`, which needs an optional package, with the command that installs it."""
     return CliError(BAD_INPUT, f"{what} needs {package}, which is not installed: {install_line(package, extra)}")
+
+
+@contextmanager
+def importing(what: str, package: str, extra: str) -> Iterator[None]:
+    """Context of an import for `what`; CliError if its optional package is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise_if_other(package, error)
+        raise missing(what, package, extra) from None
 
 
 def require(what: str, package: str, extra: str) -> None:

@@ -6,12 +6,12 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from palmd.bus.subscriber import Message
-from palmd.harness.object_losses import ObjectLosses
+from palmd.daemon.journal import LOST_S
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.score import OutlineScore
 from palmd.system.mechanism import RADII
@@ -23,6 +23,8 @@ LATE_S = 2e-3
 REPEAT_S = 10.0
 """Time after which an unchanged progress line is repeated (convention)."""
 PERIOD_S = 0.01
+NEAR_S = 6e-3  # largest time difference of an estimate and the truth that it is compared with
+_TIMES = {0: "never", 1: "once", 2: "twice"}
 _RADII = tuple(f"{name}_m" for name in RADII)
 
 
@@ -34,6 +36,11 @@ class AnyComparison(ABC):
         self._seed, self._rig = seed, rig
         self.t_started: float | None = None
         self._state: Mapping[str, Any] = {}
+        self._estimate: Mapping[str, Any] = {}
+        self._body: Mapping[str, Any] | None = None
+        """The true object, set by subclasses."""
+        self._ticks = 0
+        self._losses = ObjectLosses()
         self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
         self._last_progress, self._t_shown = "", -math.inf
 
@@ -60,6 +67,14 @@ class AnyComparison(ABC):
     @abstractmethod
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
         """Process a message of one of the system's own topics."""
+
+    def _count(self, fields: Mapping[str, Any]) -> float:
+        """Process what estimates of all systems have in common; return the time (s)."""
+        t = _seconds(fields)
+        self._ticks += 1
+        self._estimate = fields
+        self._losses.take(t, fields["valid"], fields.get("object", 0))
+        return t
 
     def progress(self, t: float) -> str:
         """One line of progress at t (s, monotonic clock); empty if unchanged for less than `REPEAT_S`."""
@@ -93,14 +108,11 @@ class Comparison(AnyComparison):
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
         self._scorer = Scorer()
-        self._object: Mapping[str, Any] | None = None
         self._truths: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)
         self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth has not arrived
         self._punctuality = Punctuality()
         self._stalled: list[float] = []  # duration (s) of each stall of the emulated rig since the last progress line
         self._stalls, self._stalled_s = 0, 0.0
-        self._ticks = 0
-        self._losses = ObjectLosses()
 
     @property
     def settled(self) -> bool:
@@ -122,17 +134,15 @@ class Comparison(AnyComparison):
                 self._truths.append((_seconds(fields), *(fields[name] for name in COMPARED)))
                 self._compare()
             case "rig/object":
-                self._object = fields
+                self._body = fields
             case "rig/stall":
                 self._stalled.append(fields["lasted_s"])
                 self._stalls += 1
                 self._stalled_s += fields["lasted_s"]
 
     def _take_estimate(self, fields: Mapping[str, Any]) -> None:
-        t = _seconds(fields)
-        self._ticks += 1
+        t = self._count(fields)
         self._punctuality.tick(t)
-        self._losses.take(t, fields["valid"], fields.get("object", 0))
         if self._scorer.take(t, fields):
             self._waiting.append((t, *(fields[name] for name in COMPARED)))
 
@@ -149,7 +159,7 @@ class Comparison(AnyComparison):
     def _progress(self) -> list[str]:
         """The estimate or why there is none, and serious faults."""
         parts = []
-        e = self._scorer.estimate
+        e = self._estimate
         if e.get("valid"):
             radii = " ".join(f"{e[name] * 1e3:.2f}" for name in _RADII)
             parts.append(f"r {radii} mm")
@@ -183,9 +193,9 @@ class Comparison(AnyComparison):
         r, omega0 = self._scorer.rms()
         if not math.isnan(r):
             parts += [f"r {r * 1e3:.3f} mm", f"omega0 {omega0:.3f} rad/s"]
-        if self.settled and self._object:
-            rho, mu, mass = self._scorer.constants(self._object)
-            true_mu = self._object["mu"]
+        if self.settled and self._body:
+            rho, mu, mass = self._scorer.constants(self._body)
+            true_mu = self._body["mu"]
             parts += [f"rho {rho:+.1%}", f"mu {mu + true_mu:z.2f} (true {true_mu:.2f})", f"mass {mass:+.1%}"]
         parts += [
             f"ticks {self._ticks}",
@@ -204,14 +214,14 @@ class Comparison(AnyComparison):
         return math.sqrt(np.mean(sd[touched > 0] ** 2))
 
     def _settling(self) -> str:
-        name = self._scorer.estimate.get("observer", "")
+        name = self._estimate.get("observer", "")
         if not self.settled:
             return f"{name} observer never settled"
         return f"{name} observer settled after {self._scorer.settling_s:.1f} s"
 
     def _score(self, *, all_normals: bool = False) -> OutlineScore | None:
         """The outline compared with the true one, on touched or all normals; None before both are available."""
-        return None if self._object is None else self._scorer.outline(self._object["h_m"], all_normals=all_normals)
+        return None if self._body is None else self._scorer.outline(self._body["h_m"], all_normals=all_normals)
 
 
 class Punctuality:
@@ -243,6 +253,131 @@ class Punctuality:
 
     def _is_late(self, t: float) -> bool:
         return LATE_S < (t - self._grid) % PERIOD_S < PERIOD_S - LATE_S / 2
+
+
+class OutlineFigures(NamedTuple):
+    """Of the estimated shape on touched normals: RMS error (m), RMS standard deviation (m), fraction touched."""
+
+    error_m: float
+    sd_m: float
+    touched: float
+
+
+class SettlingComparison(AnyComparison):
+    """Comparison of estimates that carry the daemon's own reason when they are invalid.
+
+    Settled with the first valid estimate; subclasses define what is compared and on which topics, and set `_shape`, the
+    last estimated one.
+    """
+
+    shape: ClassVar[str]
+    """Name of the shape, and in `normals` of the directions in which it is touched."""
+    normals: ClassVar[str]
+
+    def __init__(self, seed: int, rig: str) -> None:
+        super().__init__(seed, rig)
+        self._t_settled: float | None = None
+        self._truth: Mapping[str, Any] = {}
+        self._shape: Mapping[str, Any] | None = None
+        self._mu = (math.nan, math.nan)  # last estimate and its standard deviation
+        self._valid = 0
+
+    @property
+    def settled(self) -> bool:
+        """According to the published estimates."""
+        return self._t_settled is not None
+
+    def _take_estimate(self, fields: Mapping[str, Any]) -> None:
+        t = self._count(fields)
+        if math.isfinite(fields["mu"]):
+            self._mu = fields["mu"], fields["sd"]["mu"]
+        if not fields["valid"] or self.t_started is None:
+            return
+        self._valid += 1
+        if self._t_settled is None:
+            self._t_settled = t
+        if self._truth and abs(_seconds(self._truth) - t) < NEAR_S:
+            self._compare(fields, self._truth)
+
+    @abstractmethod
+    def _compare(self, estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+        """Compare a valid estimate with the truth of the same moment."""
+
+    @abstractmethod
+    def _outline(self) -> OutlineFigures | None:
+        """Errors of the shape, None before there is one."""
+
+    @abstractmethod
+    def _errors(self) -> list[str]:
+        """Results of the comparisons."""
+
+    def _progress(self) -> list[str]:
+        """The exploration's reason, the estimate or why there is none, and serious faults."""
+        estimate, figures = self._estimate, self._outline()
+        parts = []
+        if self._state.get("exploring") and self._state.get("reason"):
+            parts.append(f"exploring: {self._state['reason']}")
+        if not estimate.get("valid"):
+            parts.append(f"no valid estimate: {estimate.get('reason') or 'no message received'}")
+        elif figures is None:
+            parts.append("valid estimate")
+        else:
+            parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) on {figures.touched:.0%}")
+            parts.append(f"[true error: {figures.error_m * 1e6:.0f} µm RMS]")
+        return parts + self._serious_faults()
+
+    def summary(self) -> str:
+        """The final line."""
+        if self._t_settled is None or self.t_started is None:
+            settled = f"never settled: {self._estimate.get('reason', 'no message received')}"
+        else:
+            settled = f"settled after {self._t_settled - self.t_started:.1f} s"
+        losses = filter(None, [self._losses.summary()])
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *losses]
+        if (figures := self._outline()) is not None:
+            error, sd = (f"{each * 1e6:.0f} µm" for each in figures[:2])
+            parts.append(f"{self.shape} {error} RMS on {figures.touched:.0%} touched {self.normals} (sd {sd})")
+        parts += self._errors()
+        if self._body is not None and math.isfinite(self._mu[0]):
+            parts.append(f"mu {self._mu[0]:.3f} ± {self._mu[1]:.3f} (true {self._body['mu']:.3f})")
+        parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]
+        return "palmd demo: " + ", ".join(parts)
+
+
+class ObjectLosses:
+    """Processes every estimate's time, validity and object number; memory does not grow with the duration.
+
+    An object is lost if it had a valid estimate and then none for `LOST_S`, or if another one is started.
+    """
+
+    def __init__(self) -> None:
+        self.losses = 0
+        self._object = 0
+        self._known = False
+        self._t = self._t_valid = -math.inf
+
+    def take(self, t: float, valid: bool, number: int) -> None:
+        """Process an estimate at t (s)."""
+        self._t = t
+        if self._known and (number != self._object or (not valid and t - self._t_valid > LOST_S)):
+            self.losses += 1
+            self._known = False
+        self._object = number
+        if valid:
+            self._known, self._t_valid = True, t
+
+    @property
+    def known(self) -> bool:
+        """Whether the object has a valid estimate, or had one less than `LOST_S` ago."""
+        return self._known
+
+    def summary(self) -> str:
+        """State at the last estimate, such as "object 2 valid at the end, lost once"; empty if none was valid."""
+        if not math.isfinite(self._t_valid):
+            return ""
+        ago = self._t - self._t_valid
+        last = "valid" if self._known else f"not valid (last valid {ago:.1f} s before)"
+        return f"object {self._object} {last} at the end, lost {_TIMES.get(self.losses, f'{self.losses} times')}"
 
 
 def _seconds(fields: Mapping[str, Any]) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.harness.settling import OutlineFigures, SettlingComparison
+from palmd.harness.comparison import OutlineFigures, SettlingComparison
 from palmd.pivot_quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 from palmd.score import score_shape
 

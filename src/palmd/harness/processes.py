@@ -15,7 +15,6 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from palmd.bus.link import KEY_VARIABLE
-from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.parent import PARENT_VARIABLE
 
 _C = ctypes.CDLL(None)
@@ -101,13 +100,6 @@ class Child:
             if ended or give_up() or time.monotonic() > t_end:
                 return None
             time.sleep(_LOOK_S)
-
-    def started(self, timeout_s: float, give_up: Callable[[], bool] = _never) -> str:
-        """The same for a command that must start; raises CliError with its error output."""
-        line = self.first_line(timeout_s, give_up)
-        if line is None:
-            raise CliError(RIG_FAILED, self.error_output() or f"palmd {self.name} did not start")
-        return line
 
     def lines(self) -> list[str]:
         """The lines of its standard output."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.score import LAST_S, WRONG_M, OutlineScore, score_shape
+from palmd.score import LAST_S, OutlineScore, score_shape
 from palmd.system.mechanism import RADII
 
 COMPARED = (*(f"{name}_m" for name in RADII), "omega0_rad_s")
@@ -28,7 +28,7 @@ class Scorer:
         self.estimate: Mapping[str, Any] = {}
         self.shape: Mapping[str, Any] | None = None
         self._last_valid: Mapping[str, Any] = _NOTHING
-        self._ticks = self._valid = self._wrong = 0
+        self._ticks = self._valid = 0
         self._errors: deque[tuple[float, ...]] = deque()  # t and the errors of `COMPARED`, the last `LAST_S`
 
     def take(self, t: float, estimate: Mapping[str, Any]) -> bool:
@@ -53,7 +53,6 @@ class Scorer:
         """Estimated and true values of `COMPARED` at the valid tick of time t (s)."""
         errors = [a - b for a, b in zip(estimated, true, strict=True)]
         self._errors.append((t, *errors))
-        self._wrong += max(map(abs, errors[: len(RADII)])) > WRONG_M
 
     @property
     def settling_s(self) -> float:
@@ -63,12 +62,7 @@ class Scorer:
     @property
     def valid_share(self) -> float:
         """Fraction of valid ticks since the first valid one."""
-        return _share(self._valid, self._ticks)
-
-    @property
-    def wrong_share(self) -> float:
-        """Fraction of valid ticks with an error of a radius above `WRONG_M`."""
-        return _share(self._wrong, self._valid)
+        return self._valid / self._ticks if self._ticks else math.nan
 
     def rms(self) -> tuple[float, float]:
         """RMS error of all radii (m) and of ω0 (rad/s), over the valid ticks of the last `LAST_S`."""
@@ -91,7 +85,3 @@ class Scorer:
         if self.shape is None or not any(self.shape["touched"]):
             return None
         return score_shape(self.shape, true_h, all_normals=all_normals)
-
-
-def _share(part: int, whole: int) -> float:
-    return part / whole if whole else math.nan

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.harness.settling import OutlineFigures, SettlingComparison
+from palmd.harness.comparison import OutlineFigures, SettlingComparison
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp
 from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES

@@ -44,11 +44,6 @@ def test_it_makes_just_these_and_says_so(monkeypatch: pytest.MonkeyPatch, capsys
     assert re.fullmatch(r"curved palms, smoother: compiled C, \d+\.\d s\n", capsys.readouterr().out)
 
 
-def test_a_configuration_that_is_not_there_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", "build", "nowhere.yaml"]) == 1
-    assert "no such file" in capsys.readouterr().err
-
-
 def test_a_demo_has_everything_made_before_it_starts_and_is_silent_when_that_is_quick(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""`palmd capture` before it reaches a rig, and its bundle. With an emulated rig: tests/rig/test_capture.py."""
+"""`palmd record capture` before it reaches a rig, and its bundle. With an emulated rig: tests/rig/test_capture.py."""
 
 import io
 from pathlib import Path

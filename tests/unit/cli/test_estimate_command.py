@@ -184,30 +184,6 @@ def test_standard_output_and_notes(simulated, tmp_path, capsys):
     assert "is truncated" in err
 
 
-def test_bad_input_is_one_clear_line(simulated, tmp_path, capsys):
-    bad = tmp_path / "bad.jsonl"
-    bad.write_text("{}\n")
-    out = tmp_path / "out.jsonl"
-    for arguments, told in (
-        ([str(tmp_path / "none.jsonl"), "-o", str(out)], "No such file"),
-        ([str(bad), "-o", str(out)], "bad.jsonl:1: the first line must be the header"),
-        ([str(simulated), "-o", str(tmp_path / "no" / "out.jsonl")], "cannot be written: No such file"),
-        ([str(simulated), "-o", str(simulated)], "is the log itself"),
-    ):
-        assert main(["estimate", *arguments]) == 1
-        err = capsys.readouterr().err
-        assert told in err
-        assert err.count("\n") == 1
-    assert not out.exists()
-
-
-def test_an_observer_that_is_not_there_is_a_usage_error(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["estimate", "log", "-o", "-", "--observer", "magic"])
-    assert caught.value.code == 2
-    assert "there is no observer 'magic'" in capsys.readouterr().err
-
-
 def test_the_quasistatic_observer_tells_the_errors_that_the_paper_observes(tmp_path):
     lines, _ = simulate_log("friction", 405, 4.0)
     log, out = tmp_path / "run.jsonl", tmp_path / "out.jsonl"

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 
 import pytest
 import yaml
+from bus_daemon import bus_daemon
 from waiting import wait
 
 from palmd.cli import main
 from palmd.cli.explore import concluded, progress
 from palmd.config.two_palms import PlanSpec
-from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.harness import operator
 from palmd.quantities import SHAPE
@@ -71,23 +71,12 @@ class Daemon:
 @contextmanager
 def serving(folder, daemon):
     """The daemon at its sockets; the addresses as arguments."""
-    publish, command = f"ipc://{folder}/publish", f"ipc://{folder}/command"
-    bus, over = Bus(publish, command), threading.Event()
 
-    def serve():
-        while not over.wait(0.002):
-            bus.publish(SHAPE, {"h_sd_m": [1e-5, 4.2e-5, 2e-5]}, 0.0, 0.0)
-            for request in bus.receive():
-                bus.reply(daemon.answer(request))
+    def shape(bus):
+        bus.publish(SHAPE, {"h_sd_m": [1e-5, 4.2e-5, 2e-5]}, 0.0, 0.0)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with bus_daemon(folder, daemon.answer, shape) as (publish, command):
         yield ["--address", command, "--listen", publish]
-    finally:
-        over.set()
-        thread.join()
-        bus.close()
 
 
 @pytest.fixture(autouse=True)
@@ -166,22 +155,6 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
         thread.join()
     assert daemon.asked == ["plan", "start", "hold", "stop"]
     assert capsys.readouterr().out.startswith("explored 50% of the 90%")
-
-
-def test_without_a_daemon_one_line_says_so(tmp_path, capsys):
-    address = f"ipc://{tmp_path}/nobody"
-    assert main(["ctl", "explore", "--address", address, "--listen", address]) == 3
-    assert "is a palmd running there" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "wrong", [("--coverage", "1.2"), ("--coverage", "0"), ("--seconds", "nan"), ("--band-mm", "-1")]
-)
-def test_usage(wrong, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["ctl", "explore", *wrong])
-    assert caught.value.code == 2
-    assert "must be more than 0" in capsys.readouterr().err
 
 
 def test_what_is_told_before_anything_is_known():

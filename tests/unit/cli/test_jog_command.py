@@ -9,20 +9,16 @@ import threading
 import time
 
 import pytest
+from bus_daemon import bus_daemon
 
 from palmd.cli import jog, main
 from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, DeadMansSwitch, line
 from palmd.config.two_palms import LimitsConfig
-from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
 from palmd.daemon.jog import DEAD_MAN_S, RATE
-from palmd.topics import TOPICS
+from palmd.quantities import MOTION
 
 RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
-
-
-def test_nothing_moves_without_a_key():
-    assert DeadMansSwitch().step(0.0) is None
 
 
 @pytest.mark.parametrize(("key", "phi1", "phi2"), [(RIGHT, 1, 0), (LEFT, -1, 0), (UP, 0, 1), (DOWN, 0, -1),
@@ -35,6 +31,7 @@ def test_arrows(key, phi1, phi2):
 
 def test_letting_go_stops():
     handle = DeadMansSwitch()
+    assert handle.step(0.0) is None
     handle.pressed(RIGHT * 3, 1.0)
     assert handle.step(1.0 + HELD_S - 1e-3) is not None
     assert handle.step(1.0 + HELD_S + 1e-3) is None
@@ -61,13 +58,8 @@ def test_steps_are_such_that_the_daemon_takes_them_and_goes_on():
 
 
 def test_the_line_shows_angles_limits_and_what_is_wrong():
-    text = line(
-        {"phi1_rad": 0.5, "phi2_rad": 1.5},
-        {"state": "hold", "faults": ["pad1-lifted"]},
-        LimitsConfig(),
-        "",
-        100,
-    )
+    motion, state = {"phi1_rad": 0.5, "phi2_rad": 1.5}, {"state": "hold", "faults": ["pad1-lifted"]}
+    text = line(motion, state, LimitsConfig(), "", 100)
     assert text == "phi1  28.6° (6 to 150)  phi2  85.9° (35 to 155)  hold  pad1-lifted"
 
 
@@ -89,33 +81,20 @@ def test_the_line_stays_one_line_and_shows_a_refusal_first_and_no_nan():
     assert nan == nothing
 
 
-def test_without_a_terminal_it_says_what_else_there_is(capsys):
-    assert main(["jog"]) == 1
-    assert "palmd ctl jog" in capsys.readouterr().err
-
-
 @contextlib.contextmanager
 def daemon(folder, refusing=()):
     """A daemon's bus that publishes a motion and grants what it is not to refuse; collects the commands."""
-    bus = Bus(f"ipc://{folder}/publish", f"ipc://{folder}/command")
-    asked, over = [], threading.Event()
+    asked = []
 
-    def serve():
-        motion = next(topic for topic in TOPICS if topic.name == "palm/motion")
-        while not over.wait(0.005):
-            for request in bus.receive():
-                asked.append((request.name, request.args, time.monotonic()))
-                bus.reply(Reply(request, "not now" if request.name in refusing else None, {}))
-            bus.publish(motion, {"phi1_rad": 0.5, "phi2_rad": 1.5}, time.monotonic(), time.time())
+    def answer(request):
+        asked.append((request.name, request.args, time.monotonic()))
+        return Reply(request, "not now" if request.name in refusing else None, {})
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    def motion(bus):
+        bus.publish(MOTION, {"phi1_rad": 0.5, "phi2_rad": 1.5}, time.monotonic(), time.time())
+
+    with bus_daemon(folder, answer, motion):
         yield asked
-    finally:
-        over.set()
-        thread.join()
-        bus.close()
 
 
 @contextlib.contextmanager

@@ -2,10 +2,6 @@
 
 import json
 import math
-import os
-import pty
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -22,44 +18,23 @@ from palmd.system.rig_constants import RIG_NAMES
 
 SECONDS = 2.5
 FIELDS = {
-    *(
-        "verdict",
-        "converged",
-        "coverage",
-        "reason",
-        "chi2",
-        "theta_rad",
-        "h_m",
-        "h_sd_m",
-        "touched",
-        "rho_m",
-        "rho_sd_m",
-        "mu",
-        "mu_sd",
-    ),
-    *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
-    *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "looks_like"),
-}
+    "verdict", "converged", "coverage", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m",
+    "mu", "mu_sd", "visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg", "mass_kg", "mass_sd_kg",
+    "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "looks_like",
+}  # fmt: skip
 
 
 def answer(**changes):
-    theta, t, nan = directions(), np.array([0.1, 0.2]), math.nan
-    values = {"converged": True, "chi2": 1.0, "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta}
-    values |= {"visits": 2 * (theta < 0.5) + (theta < 1.0)}
-    values |= {"touched": theta < 1.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": nan}
-    values |= {
-        "mass_sd": nan,
-        "t": t,
-        "psi": t,
-        "omega0": 2 * t,
-        "radii": np.stack([t, t]),
-        "reason": "",
-        "seconds": 1.5,
-    }
-    rig = len(RIG_NAMES)
-    values |= {"rig": np.arange(float(rig)), "rig_covariance": np.eye(rig) / 4}
-    values |= {"contradicted": 6.0 * (np.arange(rig) == 1)}
-    values |= {"rig_prior_sd": np.ones(len(RIG_NAMES))}
+    theta, t, rig = directions(), np.array([0.1, 0.2]), np.arange(float(len(RIG_NAMES)))
+    values = {
+        "converged": True, "reason": "", "chi2": 1.0, "seconds": 1.5,
+        "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta,
+        "visits": 2 * (theta < 0.5) + (theta < 1.0), "touched": theta < 1.0,
+        "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": math.nan, "mass_sd": math.nan,
+        "t": t, "psi": t, "omega0": 2 * t, "radii": np.stack([t, t]),
+        "rig": rig, "rig_covariance": np.eye(len(rig)) / 4, "rig_prior_sd": np.ones(len(rig)),
+        "contradicted": 6.0 * (rig == 1),
+    }  # fmt: skip
     return Reconstruction(**values | changes)
 
 
@@ -184,18 +159,6 @@ def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
         assert part in summary
 
 
-def test_truth_in_the_log_changes_nothing(log, result, tmp_path):
-    spoilt = tmp_path / "truth.jsonl"
-    header, *events = log.read_text().splitlines()
-    lies = [
-        json.dumps({"t": json.loads(event)["t"], "truth": {"r1_m": 0.5}, "pad": 1, "s_m": 0.05}) for event in events
-    ]
-    spoilt.write_text("\n".join([header, *(line for pair in zip(events, lies, strict=True) for line in pair)]) + "\n")
-    out = tmp_path / "out.json"
-    assert main(["reconstruct", str(spoilt), "-o", str(out)]) == 0
-    assert without_seconds(json.loads(out.read_text())) == without_seconds(result)
-
-
 @pytest.mark.parametrize("given", ["map_length_m=0", "map_length_m=-1", "map_m=nan", "map_mm=0.07"])
 def test_an_error_of_place_that_cannot_be_is_refused(log, tmp_path, given, capsys):
     out = tmp_path / "out.json"
@@ -218,15 +181,11 @@ def test_a_log_that_tells_too_little_is_no_fault(log, source, tmp_path, capsys):
 
 
 def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
-    bad, empty, short = (tmp_path / name for name in ("bad.jsonl", "empty.jsonl", "short.jsonl"))
-    bad.write_text("{}\n")
-    empty.write_text(log.read_text().splitlines()[0] + "\n")
+    short = tmp_path / "short.jsonl"
     short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
     before, out = short.read_bytes(), tmp_path / "out.json"
     for arguments, told in (
         ([str(tmp_path / "none.jsonl"), "-o", str(out)], "No such file"),
-        ([str(bad), "-o", str(out)], "bad.jsonl:1: the first line must be the header"),
-        ([str(empty), "-o", str(out)], "the log holds no events"),
         ([str(short), "-o", str(tmp_path / "no" / "out.json")], "cannot be written: No such file"),
         ([str(short), "-o", str(short)], "is the log itself"),
         ([str(short), "-o", str(tmp_path)], "cannot be written: Is a directory"),
@@ -247,39 +206,6 @@ def test_where_nothing_can_be_written_nothing_is_computed(log, tmp_path, monkeyp
         first = [] if option == "-o" else ["-o", str(tmp_path / "x.json")]
         assert main(["reconstruct", str(log), *first, option, str(target)]) == 1
         assert why in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("seed", ["-1", "x"])
-def test_a_seed_that_is_none_is_a_usage_error(seed, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["reconstruct", "log", "-o", "-", "--seed", seed])
-    assert caught.value.code == 2
-    assert "--seed" in capsys.readouterr().err
-
-
-def test_a_reader_that_goes_away_is_no_fault(log, tmp_path):
-    short = tmp_path / "short.jsonl"
-    short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
-    command = [sys.executable, "-m", "palmd", "reconstruct", str(short), "-o", "-"]
-    reading, writing = os.pipe()
-    os.close(reading)
-    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
-    os.close(writing)
-    assert ended.returncode == 0
-    assert b"Traceback" not in ended.stderr
-
-
-def test_a_terminal_is_told_that_it_takes_a_while(log, tmp_path):
-    short = tmp_path / "short.jsonl"
-    short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
-    ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "palmd", "reconstruct", str(short), "-o", str(tmp_path / "out.json")]
-    subprocess.run(command, stderr=theirs, check=True)
-    shown = os.read(ours, 10_000).decode()
-    os.close(theirs)
-    os.close(ours)
-    assert shown.startswith(f"\rreading {short} ...\r\x1b[K\rreconstructing ...\r\x1b[K")
-    assert "not converged" in shown
 
 
 def test_what_lay_still_is_weighed_though_it_tells_no_outline(tmp_path, capsys):

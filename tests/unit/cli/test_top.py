@@ -11,17 +11,16 @@ import struct
 import subprocess
 import sys
 import termios
-import threading
 import time
 
 import numpy as np
 import pytest
+from bus_daemon import bus_daemon
 
 from palmd.bus.subscriber import Message
 from palmd.cli import main
 from palmd.cli.board import Board, BoardRow, fitted, frame
 from palmd.cli.top import painted
-from palmd.daemon.bus import Bus
 from palmd.events import Estimate, PalmMotion
 from palmd.faults import TABLE
 from palmd.messages import (
@@ -181,22 +180,14 @@ def test_painting_fits_the_terminal():
 
 @pytest.fixture
 def daemon(tmp_path):
-    """The address where a daemon publishes all of it, fifty times a second."""
-    address = f"ipc://{tmp_path}/publish"
-    bus = Bus(address, f"ipc://{tmp_path}/command")
-    over = threading.Event()
+    """The address where a daemon publishes all of it, again and again."""
 
-    def publish():
-        while not over.wait(0.02):
-            for topic, fields in MESSAGES.items():
-                bus.publish(topic, dict(fields), time.monotonic(), time.time())
+    def publish(bus):
+        for topic, fields in MESSAGES.items():
+            bus.publish(topic, dict(fields), time.monotonic(), time.time())
 
-    thread = threading.Thread(target=publish)
-    thread.start()
-    yield address
-    over.set()
-    thread.join()
-    bus.close()
+    with bus_daemon(tmp_path, lambda _: None, publish) as (address, _):
+        yield address
 
 
 def test_once_prints_one_plain_frame(daemon, capsys):

@@ -91,12 +91,6 @@ def test_a_wish_counts_also_when_a_fault_has_come_first(state, wish):
     assert looks(operator, state, segment=0, wish=wish) == []
 
 
-def test_a_hold_whose_fault_nobody_has_seen_is_nobodys_wish():
-    operator = Operator()
-    seen(operator, ("tracking",), ("hold",))
-    assert looks(operator, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
-
-
 class LateBus:
     """A daemon that obeys at once and a bus that brings what it has published `late_s` later; a stack for the demo."""
 
@@ -237,12 +231,6 @@ def test_progress_names_state_and_grave_faults():
     assert told.endswith("  a")
 
 
-def test_memory_does_not_grow():
-    comparison = Comparison(7, "perfect")
-    run_for(comparison, 8.0)
-    assert sum(len(value) for value in vars(comparison).values() if hasattr(value, "__len__")) < 800
-
-
 # -------------------------------------------------------------------------------------------------- punctuality
 
 
@@ -310,7 +298,3 @@ def test_what_is_shipped_is_good():
     plans = sorted(shipped("plans").glob("*.yaml"))
     assert len(plans) >= 3
     assert check_files([*files, *plans]) == []
-
-
-def test_a_summary_can_be_made_of_nothing():
-    assert "never settled" in Comparison(1, "perfect").summary()

@@ -1,6 +1,8 @@
 """What the guards do when the arm or a pad fails, in the closed loop without wires."""
 
+import copy
 import math
+from functools import cache
 
 import pytest
 import yaml
@@ -31,12 +33,18 @@ def servos(kind):
 RIGS = {"adept": lambda: ADEPT, "dynamixel": lambda: servos("dynamixel"), "feetech": lambda: servos("feetech")}
 
 
-def started(config, seed=7, after_s=4.0):
-    loop = TwoPalmsLoop(config, PLAN, seed, estimator=LightObserver())
+@cache
+def begun(rig, seed, after_s):
+    loop = TwoPalmsLoop(RIGS[rig](), PLAN, seed, estimator=LightObserver())
     loop.start()
     for _ in loop.run(after_s):
         pass
     return loop
+
+
+def started(rig="adept", seed=7, after_s=4.0):
+    """A rig of its own that has begun as all others of its kind have."""
+    return copy.deepcopy(begun(rig, seed, after_s))
 
 
 def tip(loop):
@@ -74,7 +82,7 @@ def travel(loop, seconds):
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("after_s", [3.3, 4.1, 4.9])
 def test_a_blocked_arm_is_stopped_and_does_not_spring_when_it_is_released(rig, after_s):
-    loop = started(RIGS[rig](), after_s=after_s)
+    loop = started(rig, after_s=after_s)
     codes, after, text = provoked(loop, "block", seconds=2.0)
     assert codes == {"following-error"}
     assert after <= 0.5
@@ -87,7 +95,7 @@ def test_a_blocked_arm_is_stopped_and_does_not_spring_when_it_is_released(rig, a
 
 @pytest.mark.parametrize("seed", [7, 8])
 def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed):
-    loop = started(servos("feetech"), seed=seed, after_s=0.0)
+    loop = started("feetech", seed=seed, after_s=0.0)
     for _ in loop.run(20.0):
         assert not {fault.code for fault in loop.core.faults.active if fault.severity in ("hold", "stop")}
     errors = loop.core.arm.guards.following.errors
@@ -97,7 +105,7 @@ def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed):
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("after_s", [3.3, 4.1, 4.9])
 def test_an_encoder_that_freezes_is_named_and_the_arm_stands(rig, after_s):
-    loop = started(RIGS[rig](), after_s=after_s)
+    loop = started(rig, after_s=after_s)
     codes, after, _ = provoked(loop, "freeze")
     assert codes == {"following-error"}
     assert after <= 0.5
@@ -108,7 +116,7 @@ def test_an_encoder_that_freezes_is_named_and_the_arm_stands(rig, after_s):
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("strength_m", [0.02, 0.5])
 def test_a_pose_that_cannot_be_is_named(rig, strength_m):
-    loop = started(RIGS[rig]())
+    loop = started(rig)
     codes, after, text = provoked(loop, "jump", strength_m)
     assert "pose-implausible" in codes
     assert after <= 0.3
@@ -116,7 +124,7 @@ def test_a_pose_that_cannot_be_is_named(rig, strength_m):
 
 
 def test_saturated_pads_hold_the_motion():
-    loop = started(ADEPT)
+    loop = started()
     codes, after, text = provoked(loop, "saturate", 40.0)
     assert "force-limit" in codes
     assert after <= 0.5
@@ -124,7 +132,7 @@ def test_saturated_pads_hold_the_motion():
 
 
 def test_after_a_block_a_start_begins_where_the_arm_is():
-    loop = started(ADEPT)
+    loop = started()
     provoked(loop, "block", seconds=1.0)
     while loop.world.fault_injector.names():
         loop.tick()

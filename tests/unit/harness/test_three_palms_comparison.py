@@ -61,10 +61,3 @@ def test_the_surface_is_judged_after_the_best_turn(compared):
     assert line.index("± 200 µm (1σ) on 49%") < line.index("true error: 100 µm")
     estimate(compared, 4.0, valid=False)
     assert "µm" not in compared.progress(16.0)
-
-
-def test_without_a_valid_estimate_it_says_why(compared):
-    assert "never settled: no message received" in compared.summary()
-    estimate(compared, 3.0, valid=False, mu=math.nan)
-    assert "never settled: nothing is known yet" in compared.summary()
-    assert "mu " not in compared.summary()

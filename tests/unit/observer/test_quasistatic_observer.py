@@ -16,7 +16,7 @@ from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.quantities import ESTIMATE
 from palmd.system.description import RigDescription
 from tools.published import validate
-from tools.studies.paper_runs import BalancedRun, balanced_run
+from tools.studies.paper_poses import BalancedRun, balanced_run
 
 LUMP = np.array([0.020, 0.0015, -0.001, 0.004, 0.0, 0.0004, 0.0005])
 RIG = RigDescription(hinge="fixed")

@@ -14,6 +14,7 @@ from palmd.config.two_palms import rig_description
 from palmd.config.vibration import VibrationConfig
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import require
+from palmd.console.shipped import shipped
 from palmd.daemon.exploration_requests import Decider
 from palmd.events import PalmMotion
 from palmd.observer import Simulated
@@ -28,8 +29,8 @@ from palmd.rig.world import World, default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import Vibration
+from palmd.yamlfile import load_config, load_plan
 from tools.closed_loop import InlineExplorer, TwoPalmsLoop
-from tools.studies.engines.daemon import demo
 
 STEP_S = 5e-4
 MOST_PENETRATION_M = 2e-6
@@ -116,7 +117,8 @@ def test_without_vibration_contacts_stick_and_slip_as_in_palmds_own_plant(mujoco
 
 
 def test_the_daemon_finds_an_ellipse_that_mujoco_moves(mujoco_plant):
-    config, plan = demo()
+    config = load_config(shipped("demo.yaml"))
+    plan = load_plan(config.plan)
     rig = rig_description(config)
     loop = TwoPalmsLoop(
         config, plan, 2, kind="ellipse", options=IN_MUJOCO,

@@ -28,7 +28,6 @@ _ARCS = 7200
 _ITERATIONS = 60
 _BIAS = 1e-200  # of a penetration, this share is left after a second
 _PALM_M = (-0.1, 0.2)
-_EVERYTHING = 0xFFFFFFFF
 
 
 def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:

@@ -1,10 +1,16 @@
-"""Logs of physics engines, reconstructed and estimated blind, against the engine's truth: one run in numbers."""
+"""Comparison with physics engines: bodies on vibrating palms in MuJoCo, Drake and Chipmunk, estimated blind.
+
+Each run draws a body, a motion, friction and a vibration, simulates it in an engine with the engine's friction model,
+writes an event log, and compares `reconstruct` and the live observer with the engine's truth. A file with runs is
+resumed: the same command does the missing runs and reports all.
+"""
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -12,22 +18,25 @@ import numpy as np
 
 from palmd import observer
 from palmd.config.two_palms import DrawnImperfections
+from palmd.console.extras import require
 from palmd.events import FloatArray
-from palmd.jsonvalues import or_none
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import replay
+from palmd.rig.simulate import CALIBRATION
 from palmd.score import WRONG_M
+from tools.studies import harness
+from tools.studies.cells import among, count, errors, most, quantiles, runs
 from tools.studies.engines.scene import ENGINE_KINDS, Engine, EngineKind, engine_log
-from tools.studies.runs import with_failures
+from tools.studies.harness import ALL, Study, result
 from tools.studies.scoring import FAR, RIGHT_M, outline_errors, truth_of
 from tools.studies.simulated import written
 
 EngineName = Literal["mujoco", "drake", "chipmunk"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+PACKAGES: dict[EngineName, str] = {"mujoco": "mujoco", "drake": "pydrake", "chipmunk": "pymunk"}
 SETTLED_S = 10.0
 """From which on the share of valid ticks is counted, or from the middle of a shorter run."""
-_MODULES = {name: f"tools.studies.engines.{name}" for name in ENGINES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +51,7 @@ class EngineTask:
 
 
 @dataclass(frozen=True, slots=True)
-class EngineRow:
+class EngineRow(EngineTask):
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. accepted, reason, chi2, took_s: of `reconstruct`. e_h: RMS of
@@ -52,11 +61,6 @@ class EngineRow:
     share of valid ticks with a radius off by more than 0.3 mm; omega0_beyond: share of valid ticks with ω0 beyond 3σ.
     """
 
-    engine: EngineName
-    kind: EngineKind
-    known: DrawnImperfections
-    seed: int
-    seconds: float
     error: str = ""
     accepted: bool = False
     reason: str = ""
@@ -76,11 +80,6 @@ class EngineRow:
     penetration_m: float = math.nan
 
     @property
-    def task(self) -> EngineTask:
-        """What was asked for."""
-        return EngineTask(self.engine, self.kind, self.known, self.seed, self.seconds)
-
-    @property
     def right(self) -> bool:
         """Accepted, and off by less than 0.1 mm on an exactly known rig, within its band on a calibrated one."""
         return self.accepted and self.nees <= FAR**2 and (self.known == "calibrated" or self.e_h_m < RIGHT_M)
@@ -91,50 +90,19 @@ class EngineRow:
         return self.accepted and self.nees > FAR**2
 
 
-def tasks_of(
-    engines: Iterable[EngineName],
-    kinds: Iterable[EngineKind],
-    known: Iterable[DrawnImperfections],
-    first_seed: int,
-    runs: int,
-    seconds: float,
-    done: Container[EngineTask] = (),
-) -> list[EngineTask]:
-    """So many runs of each combination, without those that are done."""
-    kinds, known = tuple(kinds), tuple(known)
-    tasks = [
-        EngineTask(engine, kind, rig, first_seed + i, seconds)
-        for i in range(runs)
-        for rig in known
-        for kind in kinds
-        for engine in engines
-    ]
-    return [task for task in tasks if task not in done]
-
-
 def engine_called(name: EngineName) -> Engine:
     """The engine of that name; raises ModuleNotFoundError where it is not installed."""
-    engine: Engine = importlib.import_module(_MODULES[name]).simulate
+    engine: Engine = importlib.import_module(f"tools.studies.engines.{name}").simulate
     return engine
 
 
-def failed(task: EngineTask, error: BaseException) -> EngineRow:
-    """The row of a run that came to nothing."""
-    return EngineRow(
-        task.engine, task.kind, task.known, task.seed, task.seconds, error=f"{type(error).__name__}: {error}"
-    )
-
-
-@with_failures(failed)
 def run(task: EngineTask) -> EngineRow:
     """Simulate by the engine, reconstruct, replay through the live observer, and compare."""
     lines, told = engine_log(engine_called(task.engine), task.kind, task.seed, task.seconds, task.known)
     with written(lines) as path:
         log = read_log(path)
-    return EngineRow(
-        task.engine, task.kind, task.known, task.seed, task.seconds,
-        penetration_m=told["engine_penetration_m"], mu=told["mu"], **_offline(log, told), **_live(log, told),
-    )  # fmt: skip
+    measured = {"penetration_m": told["engine_penetration_m"], "mu": told["mu"]}
+    return result(EngineRow, task, **measured, **_offline(log, told), **_live(log, told))
 
 
 def _offline(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
@@ -184,48 +152,51 @@ def _live(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def in_order(rows: Iterable[EngineRow]) -> list[EngineRow]:
-    """By engine, kind, rig and seed, whichever was finished first."""
-    return sorted(rows, key=lambda row: (ENGINES.index(row.engine), ENGINE_KINDS.index(row.kind), row.known, row.seed))
-
-
-def as_line(row: EngineRow) -> dict[str, Any]:
-    """The row as a JSON object; a number that is none becomes None."""
-    return {name: or_none(getattr(row, name)) for name in EngineRow.__slots__}
-
-
-def row_from(line: dict[str, Any]) -> EngineRow:
-    """What `as_line` made; raises TypeError for what it did not make."""
-    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in line.items()}
-    return EngineRow(**values)
-
-
-def table(rows: Sequence[EngineRow]) -> str:
-    """One line for each kind on each sort of rig, of all engines together, and one for all."""
-    head = (
-        f"{'kind':10s} {'rig':10s} {'runs':>4s} {'right':>5s} {'>3σ':>4s} {'rejected':>8s} {'failed':>6s} "
-        f"{'e_h µm':>7s} {'(e/σ)²':>7s} {'first valid s':>13s} {'valid':>6s} "
-        f"{'wrong':>6s} {'ω0>3σ':>6s} {'depth µm':>8s}"
-    )
-    groups = sorted({(ENGINE_KINDS.index(row.kind), row.kind, row.known) for row in rows})
-    lines = [
-        _line(kind, known, [row for row in rows if (row.kind, row.known) == (kind, known)]) for _, kind, known in groups
+def draw(arguments: argparse.Namespace) -> Sequence[EngineTask]:
+    """The requested number of runs of each combination; raises CliError if an engine is not installed."""
+    engines = ENGINES if arguments.engine == ALL else (arguments.engine,)
+    for engine in engines:
+        require(f"--engine {engine}", PACKAGES[engine], "engines")
+    return [
+        EngineTask(engine, kind, rig, seed, arguments.seconds)
+        for seed in harness.seeds_of(arguments)
+        for rig in (tuple(CALIBRATION) if arguments.imperfections == ALL else (arguments.imperfections,))
+        for kind in harness.kinds_of(arguments, ENGINE_KINDS)
+        for engine in engines
     ]
-    return "\n".join([head, *lines, _line("all", "", rows)])
 
 
-def _line(kind: str, known: str, rows: Sequence[EngineRow]) -> str:
-    accepted = [row for row in rows if row.accepted]
+STUDY = Study(
+    "engines",
+    draw,
+    run,
+    EngineRow,
+    order=lambda row: (ENGINES.index(row.engine), ENGINE_KINDS.index(row.kind), row.known, row.seed),
+    by=lambda row: f"{row.kind}, {row.known}",
+    columns=[
+        ("runs", runs),
+        ("right", count(lambda row: row.right)),
+        ("beyond 3σ", count(lambda row: row.beyond)),
+        ("rejected", count(lambda row: not (row.accepted or row.error))),
+        ("errors", errors),
+        ("e_h (µm)", among(lambda row: row.accepted, quantiles(lambda row: row.e_h_m, 1e6))),
+        ("(e_h/σ)²", among(lambda row: row.accepted, quantiles(lambda row: row.nees))),
+        ("first valid (s)", quantiles(lambda row: row.first_valid_s)),
+        ("valid (%)", quantiles(lambda row: row.valid, 100.0)),
+        ("wrong (%)", quantiles(lambda row: row.wrong, 100.0)),
+        ("ω0 beyond 3σ (%)", quantiles(lambda row: row.omega0_beyond, 100.0)),
+        ("penetration (µm)", most(lambda row: row.penetration_m, 1e6)),
+    ],
+    whole="all",
+    resumes=True,
+)
 
-    def median(values: Iterable[float]) -> float:
-        known_values = [value for value in values if math.isfinite(value)]
-        return float(np.median(known_values)) if known_values else math.nan
 
-    return (
-        f"{kind:10s} {known:10s} {len(rows):4d} {sum(row.right for row in rows):5d} "
-        f"{sum(row.beyond for row in rows):4d} {sum(not (row.accepted or row.error) for row in rows):8d} "
-        f"{sum(bool(row.error) for row in rows):6d} {1e6 * median(row.e_h_m for row in accepted):7.1f} "
-        f"{median(row.nees for row in accepted):7.2f} {median(row.first_valid_s for row in rows):13.2f} "
-        f"{median(row.valid for row in rows):6.0%} {median(row.wrong for row in rows):6.1%} "
-        f"{median(row.omega0_beyond for row in rows):6.1%} {1e6 * max(row.penetration_m for row in rows):8.2f}"
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(
+        parser, runs=2, seconds_each=10.0, output="engines.jsonl", kinds=ENGINE_KINDS, what="of each combination"
     )
+    add = parser.add_argument
+    add("--engine", choices=(*ENGINES, ALL), default=ALL, help="physics engine (default: %(default)s)")
+    add("--imperfections", choices=(*CALIBRATION, ALL), default=ALL, help="of the rig, drawn (default: %(default)s)")
