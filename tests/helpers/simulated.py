@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
-import json
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-=======
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cache
->>>>>>> size-tools
 
 import numpy as np
 
