@@ -1,4 +1,4 @@
-"""For all tests: linear algebra has one thread, Ctrl-C means what it means at a terminal, none takes the processor."""
+"""Settings of all tests: one linear-algebra thread, default handling of Ctrl-C, no real-time priority."""
 
 import gc
 import os
@@ -9,20 +9,20 @@ from hypothesis import HealthCheck, settings
 
 from palmd.blas import one_thread_from_here
 
-one_thread_from_here()  # as in every command: the threads of two workers would spin against each other
+one_thread_from_here()  # as in every command: the threads of two workers would block each other
 
 settings.register_profile("palmd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("palmd")  # how long an example takes beside other work is none of a test's business
+settings.load_profile("palmd")  # no deadline per example, because other work may run beside
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell starts what runs in its background deaf to SIGINT, and that is handed on to every process that a test
-    # starts and interrupts. What a handler catches, other programs begin with as usual.
+    # A shell starts its background processes with SIGINT ignored, and child processes inherit that. A handler is reset
+    # to the default in new programs.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """What thousands of tests are made of stays: no collection of garbage need look through it, now or later."""
+    """Freezes the objects of collection, so that the garbage collector does not scan them again."""
     gc.disable()
     try:
         return (yield)
@@ -34,7 +34,7 @@ def pytest_collection():
 
 @pytest.fixture(autouse=True)
 def no_better_than_others():
-    """A command that is run within a test may take real-time priority, and would keep it from the tests beside."""
+    """Prevents commands inside tests from taking real-time priority over parallel tests."""
     yield
     policy = os.sched_getscheduler(0)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

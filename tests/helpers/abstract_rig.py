@@ -1,8 +1,8 @@
-"""The shipped supervisor, fault monitor, diagnostics and journal on a rig of a few letters: to explore all its states.
+"""The daemon's supervisor, fault monitor, diagnostics and journal on an abstract rig, to explore all its states.
 
-Abstracted: the controller is its state's letter and what is asked of it, its answer comes or does not; the motion is
-standing, moving or held; of all faults there is one of each severity and latch; time is a tick, or long enough for
-every patience to end. Everything else is the daemon's own code.
+The controller is reduced to its state letter and to pending requests, which it may answer or not. A motion is standing,
+moving or held. There is one fault of each severity and latch. Time advances by one tick, or far enough for every
+time-out to expire. Everything else is the daemon's own code.
 """
 
 import io
@@ -22,16 +22,16 @@ from palmd.harness.rules import Rules
 from palmd.motion.trajectory_executor import MotionError
 
 FAULTS = ("following-error", "pad1-silent")
-"""A stop that latches while armed and lets the set-point retreat, and a hold.
+"""A latching stop while armed, during which the set-point may retreat, and a hold.
 
-Those of the arm, one of which always latches, come from its state.
+The arm's own faults, one of which always latches, follow from its state.
 """
 
 COMMANDS = {
     "arm": {}, "start": {}, "hold": {}, "stop": {}, "reset": {}, "jog": {"phi1_deg": 0.1},
     "plan": {"path": "p", "text": "t"},
 }  # fmt: skip
-"""Those that change something: the others are tried in `test_refused_moves_nothing`."""
+"""Commands that change something; `test_refused_moves_nothing` tries the others."""
 
 SYSTEM = SimpleNamespace(
     can_jog=True, joints=("phi1_rad", "phi2_rad"), codec=SimpleNamespace(estimate_summary=lambda _estimate: {})
@@ -41,7 +41,7 @@ TICK_S, LONG_S = 0.01, 2.0
 
 
 class Host:
-    """An actuator of letters; see `palmd.devices.actuator.Actuator`."""
+    """Abstract actuator; see `palmd.devices.actuator.Actuator`."""
 
     def __init__(self):
         self.state, self.refusal, self.error, self.reach = None, None, "", None
@@ -87,7 +87,7 @@ class Host:
             self.refusal, self.pending = None, what
 
     def answer(self, granted):
-        """The controller's."""
+        """Answer of the controller."""
         what, self.pending = self.pending, None
         if not granted:
             self.refusal = "refused"
@@ -99,7 +99,7 @@ class Host:
             self.state = ArmState.READY
 
     def turn(self, state):
-        """The controller goes over to a state by itself."""
+        """The controller changes its state by itself."""
         self.state = state
         if state not in (ArmState.TRACKING, ArmState.HOLD):
             self.tracking = False
@@ -109,7 +109,7 @@ class Host:
 
 
 class Motion:
-    """Set-points of letters; see `palmd.daemon.setpoints.SetPoints`."""
+    """Abstract set-points; see `palmd.daemon.setpoints.SetPoints`."""
 
     limits, violated, place, exploration = None, False, None, None
 
@@ -118,7 +118,7 @@ class Motion:
         self.moving = self.held = self.jogging = self.over = False
         self.frozen = False
         self.plan = None
-        self.may_retreat, self.left = False, None  # ticks of the retreat
+        self.may_retreat, self.left = False, None  # remaining ticks of the retreat
 
     @property
     def retreating(self):
@@ -148,7 +148,7 @@ class Motion:
         self.moving = self.held = self.jogging = self.over = False
 
     def follow(self):
-        """The first set-point has gone out."""
+        """The first set-point has been sent."""
         if self.commanded is None:
             self.commanded, self.may_retreat = PalmMotion.at_rest((0.5, 1.5)), True
 
@@ -177,19 +177,19 @@ class Motion:
         self.held, self.plan, self.moving, self.jogging = False, None, True, True
 
     def end(self):
-        """The motion comes to its end."""
+        """The motion ends."""
         self.over = self.running
         self.moving = self.jogging = False
 
 
 class Guards:
-    """Of an arm whose poses are this rig's."""
+    """Guards of an arm whose poses always fit the rig."""
 
     contradiction = ""
 
 
 class Arm:
-    """The driver, without its geometry."""
+    """The driver without its geometry."""
 
     def __init__(self):
         self.host, self.guards = Host(), Guards()
@@ -205,7 +205,7 @@ class Exploring:
 
 
 class Plan:
-    """One that fits, or has to be compiled first."""
+    """A plan that fits at once or has to be compiled first."""
 
     name, explores, trajectory = "p", False, None
 
@@ -223,7 +223,7 @@ class Plan:
 
 
 class Future:
-    """Compiling a plan, which is done when it is let."""
+    """Compilation of a plan; done when the test says so."""
 
     ready = False
 
@@ -244,11 +244,11 @@ class Aside:
 
 
 def _forgets():
-    return True  # a function with a name, as copies are pickled
+    return True  # a named function, because copies are pickled
 
 
 class Rig:
-    """Supervisor and letters. `moved` says what has begun to move in the last step."""
+    """Supervisor and abstract rig. `moved` names what has begun to move in the last step."""
 
     def __init__(self, *, autostart=False, fits=True):
         self.arm, self.motion, self.faults, self.journal = Arm(), Motion(), FaultMonitor(), Journal()
@@ -269,7 +269,7 @@ class Rig:
         return self.supervisor.state
 
     def copies(self):
-        """What makes a copy of this as it is now, as often as it is called; three times as fast as `copy.deepcopy`."""
+        """A function that returns a copy of the present state on each call; three times as fast as `copy.deepcopy`."""
         shared = {
             id(each): each for each in (*TABLE.values(), SYSTEM, self.arm.actual, self.arm.host.pose, self.diagnostics)
         }
@@ -287,7 +287,7 @@ class Rig:
         return copy
 
     def tick(self, command=None, dt=TICK_S):
-        """One of the core's ticks: obey, decide, and what the arm sends next."""
+        """One tick of the core: obey, decide, and what the arm sends next."""
         self.t += dt
         self.journal.t = self.t
         supervisor = self.supervisor
@@ -303,8 +303,8 @@ class Rig:
         if host.tracking:
             self.motion.follow()
         self.changes = [entry.text.partition(":")[0] for entry in self.journal.entries if entry.kind == "state"]
-        told = [entry for entry in self.journal.entries if entry.kind == "command" and entry.text == "done"]
-        self.by_itself = [entry.name for entry in told if entry.who == "autostart"]
+        obeyed = [entry for entry in self.journal.entries if entry.kind == "command" and entry.text == "done"]
+        self.by_itself = [entry.name for entry in obeyed if entry.who == "autostart"]
         self.journal._entries.clear()
         self.granted = [reply.request.name for reply in supervisor.replies if reply.error is None]
         self.refused = [reply.request.name for reply in supervisor.replies if reply.error is not None]
@@ -315,7 +315,7 @@ class Rig:
         self.broken += self.rules.look(self.state, graver, running=self.motion.running)
 
     def key(self):
-        """All that what comes next depends on."""
+        """Everything that the next steps depend on."""
         s, host, motion = self.supervisor, self.arm.host, self.motion
         return (
             s.state, s._arming is not None, s._resetting is not None, s._closing, tuple(s._autostart),
@@ -327,8 +327,8 @@ class Rig:
         )  # fmt: skip
 
 
-def happenings(rig, commands=tuple(COMMANDS)):
-    """What may happen next, by name: each makes a tick of a copy."""
+def next_events(rig, commands=tuple(COMMANDS)):
+    """All possible next events by name; each advances a copy by one tick."""
     host = rig.arm.host
     for name in commands:
         yield name, lambda r, name=name: r.tick(name)
@@ -360,7 +360,7 @@ def happenings(rig, commands=tuple(COMMANDS)):
 def _toggle(rig, code):
     rig.present = rig.present ^ {code}
     rig.tick()
-    rig.tick(dt=0.05)  # its debouncing is over
+    rig.tick(dt=0.05)  # the debouncing time is over
 
 
 def _open(rig):

@@ -1,4 +1,4 @@
-"""A known body on three palms, without a daemon: its parameters by least squares, and what a move makes of it."""
+"""A known body on three palms without a daemon: its least-squares parameters, and the result of a move."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class BodyStand:
         return self.plant.state[6:15].reshape(1, 3, 3).copy(), self.plant.state[None, 15:].copy()
 
     def moved(self, move: Move, side: float) -> tuple[FloatArray, bool]:
-        """(T, 3 palms, 3) normals touched on a move; whether all palms kept their contacts."""
+        """(T, 3 palms, 3) normals touched during a move; whether all palms kept their contacts."""
         steps = round(move.duration / STEP_S)
         motion = [move.at(0.5 * k * STEP_S) for k in range(2 * steps + 1)]
         each = ([getattr(one, name) for one in motion] for name in ("angles", "rates", "accelerations"))

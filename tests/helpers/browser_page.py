@@ -23,7 +23,7 @@ class Page:
 
     def open(self, token=True):
         self.leave()
-        self.errors()  # are those of a page before
+        self.errors()  # discards errors of an earlier page
         self.driver.get(self._url if token else self._url.partition("#")[0])
 
     def leave(self):
@@ -48,12 +48,12 @@ class Page:
         self.driver.find_element(By.CSS_SELECTOR, f"button[data-command={command}]").click()
 
     def double_click(self, command):
-        """Two clicks at once, which no driver is quick enough for."""
+        """Two clicks within one script, faster than a driver can click."""
         text = "const button = document.querySelector(arguments[0]); button.click(); button.click()"
         self.script(text, f"button[data-command={command}]")
 
     def press_twice(self, command):
-        """As a person does: not so fast that it might be a double click."""
+        """Two presses at a person's pace, too slow for a double click."""
         self.press(command)
         time.sleep(DOUBLE_CLICK_S)
         self.press(command)
@@ -62,7 +62,7 @@ class Page:
         self.driver.switch_to.active_element.send_keys(key)
 
     def drawn(self, hue):
-        """How many of the scene's pixels are green as what is well known, or of a palm: blue, red (orange), purple."""
+        """Number of pixels of the scene in a hue: green (well-known outline), or blue, red (orange), purple (palms)."""
         return self.script(
             """
             const scene = document.getElementById("scene");
@@ -81,7 +81,7 @@ class Page:
         )
 
     def object_drawn(self):
-        """How many of the scene's pixels are filled as the object is, thinly, whatever its outline's error."""
+        """Number of pixels filled with the object's translucent colour."""
         return self.script(
             """
             const scene = document.getElementById("scene");
@@ -105,7 +105,7 @@ class Page:
         )
 
     def until(self, condition, what, patience_s=GENEROUS_S):
-        """What `condition` has come to, once that is something."""
+        """Waits until `condition` returns something true; returns it."""
         t_end = time.monotonic() + patience_s
         while not (found := condition()):
             shown = "return document.body.innerText"
@@ -123,7 +123,7 @@ class Page:
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
     def axe(self, source):
-        """What axe-core, its source given, finds to keep people from using the page."""
+        """Accessibility violations that axe-core (its source is given) finds."""
         self.script(source)
         return self.driver.execute_async_script(
             """
@@ -134,7 +134,7 @@ class Page:
         )
 
     def watch_shifts(self):
-        """From now on the browser's own layout-shift entries are kept, those after an input too."""
+        """Starts to collect the browser's layout-shift entries, including those after an input."""
         self.script(
             """
             window.shifts = [];
@@ -153,7 +153,7 @@ class Page:
         )
 
     def shifts(self):
-        """Those since `watch_shifts`: [how much, when (s), what moved…]."""
+        """Layout shifts since `watch_shifts`: [size, time (s), what moved…]."""
         return self.script("return window.shifts")
 
     def errors(self):
@@ -161,7 +161,7 @@ class Page:
 
 
 def browser():
-    """A browser, to be entered."""
+    """A browser as a context manager."""
     chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if not (chromium and chromedriver):
         pytest.fail("the live page's test needs a browser: sudo apt-get install chromium chromium-driver")

@@ -15,7 +15,7 @@ from palmd.daemon.commands import Reply, Request
 def bus_daemon(
     folder: Path, answer: Callable[[Request], Reply], publish: Callable[[Bus], None] = lambda _bus: None
 ) -> Iterator[tuple[str, str]]:
-    """Its publisher's and its command socket's address; `publish` is called some hundred times a second."""
+    """Addresses of its publisher and its command socket; `publish` is called a few hundred times a second."""
     addresses = f"ipc://{folder}/publish", f"ipc://{folder}/command"
     bus, over = Bus(*addresses), threading.Event()
 

@@ -1,8 +1,8 @@
-"""Recordings damaged at random, and what lies in their intact chunks by the mcap library."""
+"""Recordings with random damage, and the contents of their intact chunks according to the mcap library."""
 
 from io import BytesIO
 
-import lived
+import rig_recording
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -13,7 +13,7 @@ CHUNK_BYTES = 20_000
 
 
 class Chunked(RunWriter):
-    """Chunks of a size that a short recording has many of."""
+    """Writes chunks so small that a short recording has many."""
 
     def __init__(self, *arguments, **how):
         super().__init__(*arguments, **how)
@@ -28,8 +28,8 @@ class Chunked(RunWriter):
 
 
 def pack(path):
-    """The lived run, in many small chunks."""
-    source = lived.path()
+    """Rewrites the recorded run in many small chunks."""
+    source = rig_recording.path()
     with path.open("wb") as stream:
         writer = Chunked(stream, read_layout(source).preface, 0, compressed=True)
         for message in read_messages(source):
@@ -38,7 +38,7 @@ def pack(path):
 
 
 def chunks(data):
-    """Where each chunk lies, and its messages, by the mcap library."""
+    """Position and messages of each chunk, read by the mcap library."""
     stream = BytesIO(data)
     reader = StreamReader(stream, emit_chunks=True)
     found, names = [], {}
@@ -55,7 +55,7 @@ def chunks(data):
 
 
 def damage(data, chance):
-    """One random damage: the new bytes, and which of the old ones they still hold, as (begin, end)."""
+    """One random damage: the new bytes, and the ranges (begin, end) of old bytes that survive."""
     size = len(data)
     kind = chance.choice(["flip", "cut", "zero", "duplicate"])
     at, length = chance.randrange(size), chance.choice([1, 64, 4096, size // 20])
@@ -71,5 +71,5 @@ def damage(data, chance):
 
 
 def intact_messages(parts, kept):
-    """What lies in chunks of which every byte is among what is `kept`."""
+    """Messages of the chunks whose bytes all survive."""
     return set().union(*(m for b, e, m in parts if any(first <= b and e <= last for first, last in kept)))

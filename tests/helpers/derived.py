@@ -1,9 +1,9 @@
-"""CasADi's functions of the models, each derived once a process: their symbols take longer than a test's numbers."""
+"""CasADi functions of the models, derived once per process: derivation takes longer than evaluation."""
 
 from functools import cache
 
 
 @cache
 def derived(make, *arguments, **how):
-    """What `make` makes of them; nobody changes it."""
+    """The cached result of `make`; callers must not change it."""
     return make(*arguments, **how)

@@ -1,4 +1,4 @@
-"""The fenced blocks of README and docs: which are to be run, and what a comment above one says about it.
+"""The fenced blocks of README and docs: which ones are run, and the comment above each.
 
 `<!-- not run: REASON -->` on the line above a block of commands or Python excludes it.
 """
@@ -20,7 +20,7 @@ _INDENTED = re.compile(r"^\n {4}((?:\./|\.venv/bin/)?(?:palmd|make|python3?|pip|
 
 @dataclass(frozen=True)
 class Block:
-    """`excluded`: why it is not run; empty if it is."""
+    """`excluded`: reason why the block is not run; empty if it is run."""
 
     page: str
     line: int
@@ -30,13 +30,13 @@ class Block:
 
     @property
     def lines(self) -> list[str]:
-        """Its commands, each on one line without its comment."""
+        """Its commands, one per line, without comments."""
         joined = self.text.replace("\\\n", " ").splitlines()
         return [line for line in (re.sub(r"(^|\s+)#.*", "", each).strip() for each in joined) if line]
 
 
 def blocks() -> Iterator[Block]:
-    """All of them, page by page."""
+    """All blocks, page by page."""
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for found in _BLOCK.finditer(text):
@@ -45,7 +45,7 @@ def blocks() -> Iterator[Block]:
 
 
 def indented() -> Iterator[tuple[str, str]]:
-    """Page and first command of blocks that are indented instead of fenced, which nothing would run."""
+    """Page and first command of indented blocks, which no test would run."""
     for page in PAGES:
         for found in _INDENTED.finditer(page.read_text(encoding="utf-8")):
             yield page.relative_to(ROOT).as_posix(), found[1]

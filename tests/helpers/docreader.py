@@ -1,7 +1,7 @@
-"""Somebody who types what README and docs say, into a terminal in a folder of their own.
+"""Runs the commands of README and docs in a terminal, in a temporary folder.
 
-What the pages call by the usual addresses has other addresses here; RUN is a recording. What the rest of a page's files
-are called is made in that folder first.
+The pages' usual addresses are replaced by free ones; RUN is a recording. Other files that a page names are created in
+that folder first.
 """
 
 import math
@@ -23,14 +23,14 @@ from palmd.model.compiled import cache_directory
 from tools.tabletop.geometry import TABLETOP
 from tools.tabletop.mjcf import mjcf
 
-PATIENCE_S = 120.0  # for one command, on a busy machine
+PATIENCE_S = 120.0  # for one command on a busy machine
 LIVES_S, SILENT_S, ENTERS = 1.0, 5.0, 40
 INTERRUPTED = 130
 RECORDINGS = ("runs/2026-11-21T22-30-05Z.mcap", "runs/2026-11-22T09-12-44Z.mcap", "run.mcap")
 
 WITH_A_DAEMON = re.compile(r"palmd (?:run|ctl|top|view|demo)\b|palmd\.connect|socket\.c")
 ENDLESS = re.compile(r"palmd (?:run|view|top|demo|ctl explore)\b|--loop\b")
-"""Until Ctrl-C, or longer than anybody waits for."""
+"""Commands that run until Ctrl-C, or too long for a test."""
 
 ADDRESSES = """\
 from palmd.bus import link
@@ -39,12 +39,12 @@ link.PUBLISH, link.COMMAND = {publish!r}, {command!r}
 
 
 def pages(*, with_a_daemon):
-    """Those that have blocks to run, with and without a daemon."""
+    """Pages that have blocks to run, with or without a daemon."""
     return list(dict.fromkeys(block.page for block in blocks() if _is_run(block, with_a_daemon)))
 
 
 def blocks_of(page, *, with_a_daemon):
-    """In their order on the page."""
+    """The blocks of a page, in order."""
     return [block for block in blocks() if block.page == page and _is_run(block, with_a_daemon)]
 
 
@@ -53,7 +53,7 @@ def _is_run(block, with_a_daemon):
 
 
 class Reader:
-    """`config` is taken for the reader's own configuration; its `plans` lie beside it."""
+    """`config` serves as the reader's own configuration; its `plans` lie beside it."""
 
     def __init__(self, folder, recording, config):
         self.folder, self._home, self._config = folder, folder / "home", config
@@ -75,9 +75,9 @@ class Reader:
         scp.chmod(0o755)
 
     def run(self, block: Block, addresses, daemon_is_ready, words):
-        """Types a block; `addresses` are those to publish at and for commands, `words` replaces others of the page.
+        """Runs a block; `addresses` are those for publishing and commands, `words` replaces other text of the page.
 
-        Raises AssertionError for a command that ends badly, with what it said.
+        Raises AssertionError with the output if a command fails.
         """
         (self.folder / "my.yaml").unlink(missing_ok=True)
         if "palmd init" not in block.text:
@@ -88,7 +88,7 @@ class Reader:
                  "palmd view": "palmd view --port 0", "runs/….mcap": RECORDINGS[0], "RUN": RECORDINGS[0]}  # fmt: skip
         try:
             if block.kind == "python":
-                before = "" if block.text.startswith("import ") else self._program  # else it goes on from there
+                before = "" if block.text.startswith("import ") else self._program  # continues it
                 self._program = before + replaced(block.text, usual | words)
                 self._typed([sys.executable, "-c", self._program])
                 return
@@ -97,7 +97,7 @@ class Reader:
                 if ENDLESS.search(line):
                     self._begun(typed)
                     if "palmd run" in line:
-                        daemon_is_ready()  # and goes on beside what follows
+                        daemon_is_ready()  # the daemon keeps running during the commands that follow
                     else:
                         self._interrupted()
                 else:
@@ -121,13 +121,15 @@ class Reader:
         out = self.folder / f"said-{len(self._endless)}"
         process = self._process(words, out)
         self._endless.append((words, process, out))
-        with suppress(AssertionError):  # some say nothing
+        with suppress(AssertionError):  # some commands print nothing
             wait(lambda: process.poll() is not None or out.stat().st_size, "a word", patience_s=SILENT_S)
         with suppress(subprocess.TimeoutExpired):
             process.wait(LIVES_S)
 
     def _interrupted(self):
-        """Ctrl-C ends what has no end, and well; a demo that had no time to converge says that by its status."""
+        """Ends endless commands by Ctrl-C and checks their exit status; a demo may report that it had no time to
+        converge.
+        """
         while self._endless:
             words, process, out = self._endless.pop()
             with suppress(ProcessLookupError):
@@ -142,7 +144,7 @@ class Reader:
             assert status in {0, INTERRUPTED, *([RIG_FAILED] if "palmd demo" in words[-1] else [])}, said
 
     def _process(self, words, out):
-        """Whatever it asks gets its usual answer."""
+        """Answers each prompt as usual."""
         with out.open("wb") as said:
             process = subprocess.Popen(
                 words, cwd=self.folder, env=self._environment(), stdin=subprocess.PIPE, stdout=said,
@@ -162,15 +164,15 @@ class Reader:
 
 
 def replaced(text, words):
-    """What stands on the page, with each pattern of `words` replaced."""
+    """The text with each pattern of `words` replaced."""
     for old, new in words.items():
         text = re.sub(rf"(?<!\w){old}\b", new, text)
     return text
 
 
 def _as_seen(run):
-    """The object's turns as another system would have measured them, in the lines of a TUM file."""
-    told = run.estimates
-    for stamp, psi, valid in zip(told["timestamp"], told["psi_rad"], told["valid"], strict=True):
+    """The object's rotation as another system would measure it, as lines of a TUM file."""
+    rows = run.estimates
+    for stamp, psi, valid in zip(rows["timestamp"], rows["psi_rad"], rows["valid"], strict=True):
         if valid:
             yield f"{stamp:.4f} 0 0 0 0 0 {math.sin(psi / 2):.6f} {math.cos(psi / 2):.6f}\n"

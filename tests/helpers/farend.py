@@ -1,4 +1,4 @@
-"""A controller at the far end of a serial line, in virtual time: plays the scripts of the arm link's conformance."""
+"""A controller at the far end of a serial line, in virtual time, for the arm link's conformance scripts."""
 
 import math
 
@@ -16,7 +16,7 @@ STEP_S = 0.5e-3
 
 
 class FarEnd:
-    """The controller, its arm's servo, and both directions of the line at their real pace."""
+    """Controller, servo of its arm, and both directions of the line at their real rate."""
 
     def __init__(self, make=Controller, phase_s=0.0067):
         self.controller = make(LIMITS, HOME, BAUD, lambda _pose, _t: None)
@@ -57,7 +57,7 @@ class FarEnd:
         return lines, raw
 
     def play(self, script):
-        """What the script ends with."""
+        """The script's outcome."""
         heard = None
         while True:
             try:

@@ -1,4 +1,4 @@
-"""A smoother's answer as a test needs it: what it does not tell is zero."""
+"""A smoother's answer for tests; fields not given are zero."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from palmd.model.smoothing import RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
 
 
-def improvement(x: FloatArray, P: FloatArray, **told: Any) -> Improvement:
-    """Of a state `x` with covariance `P`; fields of `Improvement` as `told`."""
+def improvement(x: FloatArray, P: FloatArray, **fields: Any) -> Improvement:
+    """Improvement with state `x` and covariance `P`; further fields by name."""
     nothing = np.zeros(RIG_CONSTANTS)
     rest: dict[str, Any] = {
         "t": 1.0,
@@ -24,4 +24,4 @@ def improvement(x: FloatArray, P: FloatArray, **told: Any) -> Improvement:
         "spread": np.zeros((len(x) + RIG_CONSTANTS, RIG_CONSTANTS)),
         "contradicted": nothing,
     }
-    return Improvement(x=x, P=P, **(rest | told))
+    return Improvement(x=x, P=P, **(rest | fields))

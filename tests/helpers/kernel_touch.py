@@ -1,4 +1,4 @@
-"""Input devices for tests: described to the code under test by a stand-in for the kernel, or made by /dev/uinput."""
+"""Input devices for tests: described by a fake kernel, or created through /dev/uinput."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def events(*changes):
 
 @dataclass
 class FakeKernel:
-    """Answers the ioctls of an input device whose state a test sets; everything else is left to the real kernel.
+    """Answers the ioctls of an input device whose state a test sets; passes everything else to the real kernel.
 
-    `axes`: code to (value, least, most, resolution). `slots`: code to one value a slot.
+    `axes`: code to (value, minimum, maximum, resolution). `slots`: code to one value per slot.
     """
 
     name: str = "a test pad"
@@ -45,7 +45,7 @@ class FakeKernel:
     grabbed: int = 0
 
     def install(self, monkeypatch, module):
-        """Stands between the module and the kernel."""
+        """Replaces the kernel's functions in the module."""
         monkeypatch.setattr(module.fcntl, "ioctl", self)
         return self
 
@@ -72,7 +72,7 @@ class FakeKernel:
         elif 0x40 <= number < 0x80:
             if not self.axes:
                 raise OSError(errno.EINVAL, "no axes")
-            value, least, most, resolution = self.axes.get(number - 0x40, (0, 0, 0, 0))  # so does the kernel
+            value, least, most, resolution = self.axes.get(number - 0x40, (0, 0, 0, 0))  # as the kernel does
             struct.pack_into("<6i", argument, 0, value, least, most, 0, 0, resolution)
         return 0
 
@@ -84,7 +84,7 @@ def _set_bits(buffer, codes):
 
 
 def devices_can_be_made():
-    """Whether this kernel has uinput, and this user may use it: a node in /dev alone is no proof of that."""
+    """Whether uinput works for this user; the device node alone does not prove it."""
     try:
         os.close(os.open(UINPUT, os.O_RDWR | os.O_NONBLOCK))
     except OSError:
@@ -93,10 +93,10 @@ def devices_can_be_made():
 
 
 class KernelDevice:
-    """A device that the kernel has made; `path` is what a program opens."""
+    """A device that the kernel has created; `path` is what a program opens."""
 
     def __init__(self, axes, keys=(), properties=(), moves=(), name="palmd test device"):
-        """`axes`: code to (least, most, resolution)."""
+        """`axes`: code to (minimum, maximum, resolution)."""
         self._fd = os.open(UINPUT, os.O_RDWR | os.O_NONBLOCK)
         for bit, codes in ((0x40045565, keys), (0x40045567, axes), (0x40045566, moves), (0x4004556E, properties)):
             for code in codes:
@@ -118,11 +118,11 @@ class KernelDevice:
             time.sleep(0.02)
 
     def send(self, *changes):
-        """One frame."""
+        """Sends one frame."""
         os.write(self._fd, events(*changes))
 
     def close(self):
-        """It vanishes."""
+        """Unplugs the device."""
         with contextlib.suppress(OSError):
             fcntl.ioctl(self._fd, 0x5502)
         os.close(self._fd)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from siblings import as_stored, siblings
+from similar_outlines import as_stored, similar_bodies
 
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog
@@ -21,23 +21,23 @@ THETA = np.arange(360) * (2 * np.pi / 360)
 class Run:
     log: EventLog
     t: np.ndarray
-    told: dict
+    truth: dict
     psi: np.ndarray  # in the stored outline's own frame
 
 
 @cache
 def library(kind: str, seed: int, count: int) -> tuple[tuple[Body, ...], tuple[Outline, ...]]:
     random = np.random.default_rng([seed, 1])
-    bodies = tuple(siblings(kind, count, random))
+    bodies = tuple(similar_bodies(kind, count, random))
     return bodies, tuple(as_stored(body, f"body {i}", random) for i, body in enumerate(bodies))
 
 
 @cache
 def run_with(body: Body, kind: str, seed: int, seconds: float) -> Run:
-    log, told = simulated(kind, seed, seconds, body)
+    log, truth = simulated(kind, seed, seconds, body)
     everywhere = np.ones(len(THETA), dtype=bool)
-    turn = score_outline(THETA, body.support.sample(THETA), everywhere, np.array(told["h_m"])).rotation
-    return Run(log, np.array(told["t"]), told, np.array(told["psi_rad"]) + turn)
+    turn = score_outline(THETA, body.support.sample(THETA), everywhere, np.array(truth["h_m"])).rotation
+    return Run(log, np.array(truth["t"]), truth, np.array(truth["psi_rad"]) + turn)
 
 
 def angle(difference: np.ndarray) -> np.ndarray:

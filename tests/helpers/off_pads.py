@@ -1,4 +1,4 @@
-"""Pads that are not as configured, and how near a calibration comes to what they are."""
+"""Pads that differ from their configuration, and the errors a calibration leaves."""
 
 import math
 
@@ -14,11 +14,11 @@ TRUE = (
     CONFIGURED[0].model_copy(update={"zero_mm": 26.5, "counts_per_mm": 8.11, "newtons_per_count": 0.024}),
     CONFIGURED[1].model_copy(update={"zero_mm": 29.2, "counts_per_mm": 7.65, "newtons_per_count": 0.017, "sign": -1}),
 )
-"""Errors of 1.5 mm, 3 % and 20 %, and one pad mirrored."""
+"""Errors of 1.5 mm, 3 % and 20 %; one pad is mirrored."""
 
 
 def errors(found, true=TRUE):
-    """Of a pair of PadScale: zero (mm) and counts_per_mm (relative), pad after pad."""
+    """Errors of a pair of PadScale: zero (mm) and counts_per_mm (relative), pad after pad."""
     return [
         (each.zero_mm - pad.zero_mm, each.counts_per_mm / pad.counts_per_mm - 1.0)
         for each, pad in zip(found, true, strict=True)
@@ -26,7 +26,7 @@ def errors(found, true=TRUE):
 
 
 def gain_errors(found, true=TRUE):
-    """Of both pads' newtons_per_count, relative."""
+    """Relative errors of both pads' newtons_per_count."""
     pads = zip(found.pads, true, strict=True)
     return [each.newtons_per_count / pad.newtons_per_count - 1.0 for each, pad in pads]
 

@@ -1,4 +1,4 @@
-"""A pad's driver and its emulated far side on one line without wires: half a millisecond a step."""
+"""A pad's driver and its emulated device on one line without wires, in steps of 0.5 ms."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ SERIAL = tuple(name for name in KINDS if name != "evdev")
 
 
 class PadBench:
-    """`spoil` is given what goes to the host. `press` is what presses, None for nothing; `events` what has come of it.
+    """`spoil` may alter the bytes to the host. `press` presses the pad, None for nothing; `events` collects the
+    results.
 
-    plugged: whether bytes get through at all. said: all that the far side has said.
+    plugged: whether bytes pass. said: all bytes the device has sent.
     """
 
     def __init__(self, config: PadConfig, spoil: Callable[[bytes], bytes] = bytes, seed: int = 1) -> None:
@@ -43,17 +44,17 @@ class PadBench:
         self.driver.opened(0.0)
 
     def restart(self) -> None:
-        """The device begins anew, and has forgotten what it was told."""
+        """Restarts the device, which forgets its settings."""
         self._far = make_emulator(self.config, EXACT, lambda _s, _force: 0.0, np.random.default_rng(self._seed), self.t)
         self._out = Wire(self._far.baud or 10_000_000)
 
     def write(self, data: bytes) -> None:
-        """What the driver writes."""
+        """Bytes from the driver to the device."""
         if self.plugged:
             self._far.receive(data, self.t)
 
     def go(self, seconds: float) -> PadBench:
-        """Live for so long."""
+        """Runs for so long (s)."""
         for _ in range(round(seconds / STEP_S)):
             self._step += 1
             self.t = self._step * STEP_S
@@ -70,16 +71,16 @@ class PadBench:
         return self
 
     def touched(self, s: float, seconds: float = 0.3, force: float = 1.0) -> PadBench:
-        """Pressed at s (m) for so long."""
+        """Presses at s (m) for so long."""
         self.press = Press(s, force)
         return self.go(seconds)
 
     def samples(self, since: float = 0.0) -> list[PadSample]:
-        """Contact readings that came after a time (s)."""
+        """Contact readings after a time (s)."""
         return [event for t, event in self.events if t > since and isinstance(event, PadSample)]
 
     def lifts(self, since: float = 0.0) -> list[float]:
-        """When lift-offs came (s)."""
+        """Times of the lift-offs (s)."""
         return [t for t, event in self.events if t > since and isinstance(event, PadLift)]
 
     def _take(self, events) -> None:

@@ -1,4 +1,4 @@
-"""The sum of squares of one record once more, in NumPy: see `palmd.observer.three_palms.equations`."""
+"""Independent sum of squares of one record in NumPy; see `palmd.observer.three_palms.equations`."""
 
 from functools import cache
 
@@ -26,14 +26,14 @@ def acceleration_kernel(order: int, law: VibrationLaw = "sign_pairs") -> BlockKe
 
 
 class PlainEquations:
-    """As `CompiledEquations`."""
+    """Same interface as `CompiledEquations`."""
 
     def __init__(self, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> None:
         self._record, self._noise, self._acting = record, noise, rig.kernel_constants
         self._order, self._law = order, rig.vibration.law
 
     def at(self, motion: BodyMotion) -> SumOfSquares:
-        """At `motion`."""
+        """The sum of squares at `motion`."""
         record, noise, p, m = self._record, self._noise, motion.p, len(motion.p)
         K, h = len(record.middle_palms), record.spacing
         R, omega = motion.R, motion.omega

@@ -1,4 +1,4 @@
-"""The filter of a body between three palms once more, in NumPy: see `palmd.observer.three_palms.body_filter`."""
+"""Independent filter of a body between three palms in NumPy; see `palmd.observer.three_palms.body_filter`."""
 
 import math
 from types import SimpleNamespace
@@ -18,12 +18,12 @@ from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
 from palmd.system.three_palms import PALMS, BodyAnswer, PalmPlanes, ThreePalmsRig
 
-LEAST_S = 1e-9  # shorter spans are none
+LEAST_S = 1e-9  # shorter intervals are skipped
 _PLANES = tuple(PalmPlanes.__dataclass_fields__)
 
 
 class PlainFilter(BodyFilter):
-    """As a `BodyFilter`."""
+    """Same interface as `BodyFilter`."""
 
     def __init__(self, answer: BodyAnswer, rig: ThreePalmsRig) -> None:
         super().__init__(answer, rig)
@@ -46,7 +46,7 @@ class PlainFilter(BodyFilter):
                 self._correct(readings[number], reading_geometry(joints.palms(np.array([end])), pad)[0])
 
     def _step(self, h: float, palms: FloatArray) -> None:
-        """One step of h (s), the palms as in its middle."""
+        """One step of h (s), with the palms at its middle."""
         shared = (self.p, self._rig.kernel_constants)
         acceleration = acceleration_kernel(self._order, self._rig.vibration.law)
         out = acceleration((by_columns(self.R[None]), self.omega[None], palms[None]), shared)
@@ -83,7 +83,7 @@ class PlainFilter(BodyFilter):
         self._body[13:] += step[STATES:]
 
     def _looked(self, geometry: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What geometries (T, 24) read, (2T,), and its Jacobian (2T, states and parameters)."""
+        """Predicted readings of geometries (T, 24), (2T,), and their Jacobian (2T, states and parameters)."""
         turned = np.repeat(by_columns(self.R[None]), len(geometry), axis=0)
         y, by_turn, by_c = kernels.reading(self._order, self._rig.vibration.law)((turned, geometry), (self.p[:-BODY],))
         H = np.zeros((2 * len(geometry), len(self.P)))
@@ -91,7 +91,7 @@ class PlainFilter(BodyFilter):
         return y.ravel(), H
 
     def _seen(self, palms: PalmPlanes) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """(10,) contacts by palms and the centre of mass, a number to spare; their covariance, palms and forces."""
+        """Contacts per palm and the centre of mass, (10,) with one spare number; their covariance, palms and forces."""
         repeated = PalmPlanes(*(np.repeat(getattr(palms, name), len(PALMS), axis=0) for name in _PLANES))
         geometry = reading_geometry(repeated, np.arange(len(PALMS)))
         centre = np.repeat(geometry[:1], 2, axis=0)
@@ -106,7 +106,7 @@ class PlainFilter(BodyFilter):
 
 
 def _steps(start: float, end: float, longest_s: float) -> tuple[FloatArray, float]:
-    """Middles and length of the steps from `start` to `end` (s); none backwards."""
+    """Middles and length of the steps from `start` to `end` (s); none if `end` is earlier."""
     span = end - start
     if span <= LEAST_S:
         return np.zeros(0), 0.0

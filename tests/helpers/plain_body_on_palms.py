@@ -1,4 +1,4 @@
-"""Accelerations and contact forces of bodies on three palms in plain NumPy, apart from `rig/three_palms/plant.c`."""
+"""Accelerations and contact forces of bodies on three palms in NumPy, independent of `rig/three_palms/plant.c`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from palmd.rig.three_palms.bodies import Bodies
 from palmd.rig.three_palms.plant import PHASES, FrictionParameters
 
 GAP_RATE = 100.0
-"""κ (1/s), rate at which errors of the gaps decay."""
+"""κ (1/s), decay rate of the gap errors."""
 KINK = 0.03
-"""Of the vibration's speed: slower slip has proportionally less friction."""
+"""Share of the vibration's speed below which friction falls in proportion to slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +53,13 @@ def accelerations(
     gravity: float,
     phases: FloatArray = PHASES,
 ) -> tuple[FloatArray, FloatArray, PalmContacts]:
-    """(v̇ (B, 3), ω̇ (B, 3), contacts): means over these phases (N, 3 palms) (rad) of the vibrations."""
+    """(v̇ (B, 3), ω̇ (B, 3), contacts): means over vibration phases (N, 3 palms) (rad)."""
     n, R, w = palms.normal, state.R, state.omega[:, None]
     u = -np.einsum("bji,bnj->bni", R, n)
     h, x, bend = bodies.support(u)
     r = np.einsum("bij,bnj->bni", R, x)
     c = state.p[:, None] + r
-    turning = palms.rate - np.cross(w, n)  # of the normal, relative to the body, in world axes
+    turning = palms.rate - np.cross(w, n)  # of the normal relative to the body, in world axes
     u_rate = -np.einsum("bji,bnj->bni", R, turning)
     sliding = np.cross(w, r) + np.einsum("bij,bnjk,bnk->bni", R, bend, u_rate)
 
@@ -95,7 +95,7 @@ def accelerations(
 
 
 def vibration_axes(normal: FloatArray) -> FloatArray:
-    """(B, 3 palms, 3) axes along which palms of these normals vibrate: the pads' axes a, except for their sign."""
+    """(B, 3 palms, 3) vibration axes of palms with these normals: the pads' axes a up to sign."""
     axes = np.cross(normal[:, :1], normal)
     axes[:, 0] = 1.0, 0.0, 0.0
     return axes

@@ -1,6 +1,6 @@
-"""The friction of palms that vibrate once more (docs/theory/vibration.md), in NumPy alone, for the models' twins.
+"""Independent friction law of vibrating palms (docs/theory/vibration.md) in NumPy, to test the compiled models.
 
-Real or complex columns, of bodies that are independent of each other.
+Columns, real or complex, are independent bodies.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def by_sign(spin: Mapping[tuple[int, int], Array]) -> Array:
-    """By how much α0 changes as the sign of slip of contact 1, of contact 2, goes from −1 to 1, twice."""
+    """Change of α0 when the slip sign of contact 1, and of contact 2, goes from −1 to 1."""
     return np.array([sum(signs[contact] * of for signs, of in spin.items()) for contact in range(2)])
 
 
 def rippled_directions(
     slip: Array, speed: Array, drive: Array, kappa: float | Array, steps: int = 1
 ) -> tuple[Array, Array]:
-    """Mean direction of each slip, and by how many periods contact 1's is later than the other's, by the body's ripple.
+    """Mean direction of each slip, and the lag of contact 1 behind contact 2 in periods, caused by the body's ripple.
 
-    drive[i, j]: by how much (m/s) the sign of contact j drives slip i, in a period.
+    drive[i, j]: change of slip i (m/s) in a period driven by the sign of contact j.
     """
     together, apart = np.abs(kappa), 1 - np.abs(kappa)
     half = np.where(np.asarray(kappa) > 0, 0.0, 0.5)
@@ -63,13 +63,13 @@ def rippled_directions(
 
 
 def softened_direction(slip: Array, speed: Array, drive: Array) -> Array:
-    """Mean direction of each slip as if the palms vibrated as much more slowly as the ripple makes it steeper."""
+    """Mean direction of each slip for a vibration reduced by the amount that the ripple steepens it."""
     swing = [np.sqrt(drive[i, i] ** 2 + drive[i, 1 - i] ** 2 / 3) / 4 for i in range(2)]
     return mean_direction(np.array([u * np.sqrt(speed**2 + a**2) / speed**2 for u, a in zip(slip, swing, strict=True)]))
 
 
 def _swung(x: Array, share: Array) -> Array:
-    """∫(sign − its mean), of a sign that is positive for a share of the period about x = 0; in periods."""
+    """Integral of (sign − mean) over periods, for a sign that is positive for a share of the period about x = 0."""
     x = x - np.floor(x.real + 0.5)
     side = np.where(x.real < 0, -1, 1)
     inside = np.abs(x.real) < share.real / 2
@@ -77,7 +77,7 @@ def _swung(x: Array, share: Array) -> Array:
 
 
 def _beyond(room: Array, stray: Array, drive: Array) -> Array:
-    """The least mean direction of a contact whose ripple has so much room, ± stray, where it would have more."""
+    """Smallest mean direction of a contact whose ripple is limited to this room, ± stray."""
     squares = (1 - 4 * positive(each) / drive for each in (room + stray, room - stray))
     one, two = (np.sqrt(np.where(each.real > LEAST_DIRECTION**2, each, LEAST_DIRECTION**2)) for each in squares)
     return np.asarray((one + two) / 2 - 2 * LEAST_DIRECTION)
@@ -90,7 +90,7 @@ def mean_direction(x: Array) -> Array:
 
 
 def sign_shares(mean: Array, kappa: float | Array, lag: Array) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Pairs of slip signs with their shares of time: of independent slips, and by |κ| of two arcs of one period."""
+    """Pairs of slip signs with their shares of time: independent slips, and with weight |κ| two arcs of one period."""
     p1, p2 = (1 + mean) / 2
     late = 2 * np.where(lag.real < 0, -lag, lag)
     lesser = 2 * np.where(p1.real < p2.real, p1, p2)
@@ -106,5 +106,5 @@ def sign_shares(mean: Array, kappa: float | Array, lag: Array) -> Iterator[tuple
 
 
 def positive(value: Array) -> Array:
-    """What is not below 0 of the values."""
+    """The values, clipped below at 0."""
     return np.where(value.real > 0.0, value, 0.0)

@@ -1,4 +1,4 @@
-"""The arithmetic of the smoother's normal equations once more, in NumPy and SciPy: see `palmd.observer.reduction`."""
+"""Independent normal-equation arithmetic of the smoother in NumPy and SciPy; see `palmd.observer.reduction`."""
 
 import math
 from collections.abc import Sequence
@@ -31,12 +31,12 @@ class PlainArithmetic:
         n = len(value)
         residual = value - predicted
         nis = residual**2 / variance
-        # far from the answer all residuals are large: only what stands out from the others is an outlier
+        # far from the solution all residuals are large; only values that differ from the rest are outliers
         gate = GATE * max(1.0, float(np.median(nis)) / 0.455) if n else GATE
         outlier = nis > gate
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) * weight / variance)
         cost = weight * np.where(outlier, gate * (1.0 + np.log(np.maximum(nis, gate) / gate)), nis)
-        # of what is no outlier: those are counted, and have no say in how well the others are explained
+        # statistics of inliers only; outliers are counted separately
         chi2 = float(nis[~outlier].mean()) if n and not outlier.all() else math.inf
         outliers = float(outlier.sum()) / max(n, 1)
         return Weighed(residual, root, float(cost.sum()), chi2 if n else 0.0, outliers, _longest_run(outlier))
@@ -46,7 +46,7 @@ class PlainArithmetic:
         count, n, side_at, width = len(steps.end), steps.x.size, steps.constants, wide(steps.constants)
         J = steps.jacobian.transpose(0, 2, 1).reshape(count * NODE, NODE + side_at)
         root = steps.root.ravel()
-        # every residual is a row, divided by its one-sigma: first the steps' ends, then the readings
+        # each residual is a row divided by its 1σ: first the steps' ends, then the readings
         in_nodes = [np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1)]
         in_constants = [J[:, NODE:] * root[:, None]]
         residual = [(steps.end - steps.x[1:]).ravel() * root]
@@ -75,7 +75,7 @@ class PlainArithmetic:
         damped[0] += np.tile(damping, damped.shape[1] // NODE)
         try:
             factor = cholesky_banded(damped, lower=True)
-        except ValueError as error:  # what scipy says of numbers that are not finite
+        except ValueError as error:  # raised by SciPy for numbers that are not finite
             raise np.linalg.LinAlgError(str(error)) from error
         solved = solve_banded((BAND - 1, 0), factor, rows)
         return Reduced(factor, solved, corner - solved.T @ solved)

@@ -1,4 +1,4 @@
-"""Filters on the shape map that fuse readings in NumPy: the oracle of `model/fusion.c`."""
+"""Shape-map filters that fuse readings in NumPy: the oracle of `model/fusion.c`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ANGLES, _CONTACTS, _JOINTS = (
 
 
 class PlainShapeFilters(ShapeFilters):
-    """The same filters; `bank` calls the kernels one by one."""
+    """Same filters; `bank` calls the kernels one by one."""
 
     def __init__(self, rig: RigDescription, size: int, order: int = shape_map.HARMONICS):
         super().__init__(rig, size, order=order)
@@ -103,7 +103,7 @@ def _u(error: RigError, pad: int) -> float:
 
 
 def bows(error: RigError, values: FloatArray) -> FloatArray:
-    """Increase of φ1 and φ2 by bowed surfaces at the last contacts (rad), for constants (RIG, …)."""
+    """Increase of φ1 and φ2 due to bowed surfaces at the last contacts (rad), for constants (RIG, …)."""
     one, two = (
         4.0 * values[R.SAGITTA + i] / length * (1.0 - 2.0 * _u(error, i)) for i, length in enumerate(error.pad_lengths)
     )
@@ -111,14 +111,14 @@ def bows(error: RigError, values: FloatArray) -> FloatArray:
 
 
 def heights(error: RigError, values: FloatArray) -> FloatArray:
-    """Height of both surfaces over the hinge line at the last contacts (m), for constants (RIG, …)."""
+    """Height of both surfaces above the hinge line at the last contacts (m), for constants (RIG, …)."""
     return np.array([values[R.STANDOFF + k] + 4.0 * values[R.SAGITTA + k] * _u(error, k) ** 2 for k in range(2)])
 
 
 def lifts(error: RigError, palm: int, opening: float, radius: float) -> FloatArray:
-    """Shift of a contact on `palm` (0, 1) away from the hinge, per metre by which each surface is higher.
+    """Shift of a contact on `palm` (0, 1) away from the hinge per metre of each surface's height.
 
-    On a curved palm a contact is shifted 1/(1 − κ·radius) times as far as on a flat one.
+    On a curved palm the shift is 1/(1 − κ·radius) times that on a flat one.
     """
     margin = 1.0
     if any(error.curvatures):
@@ -130,7 +130,7 @@ def lifts(error: RigError, palm: int, opening: float, radius: float) -> FloatArr
 
 
 def corrected(error: RigError, sample: PadSample, opening: float, radius: float) -> float:
-    """The distance (m) that a pad without errors on the hinge line would read."""
+    """The reading (m) of an ideal pad on the hinge line."""
     i, v = sample.pad - 1, error.values
     compliance = v[R.FORCE + i] * error.pressing(sample)
     error.s[i] = s = float((sample.s - v[R.ZERO + i] - compliance) / (1.0 + v[R.SCALE + i]))

@@ -1,7 +1,7 @@
-"""The shape map's model once more, in NumPy alone and from the textbook: an independent check of the generated C.
+"""Independent shape-map model in NumPy from the textbook equations, to check the generated C.
 
-A state is a column, and columns are independent: with 1e-30·i added to one state each, their imaginary parts are the
-Jacobian to full precision (complex-step differentiation), with no derivative written down by hand.
+Columns are independent states. With 1e-30·i added to one state each, the imaginary parts are the exact Jacobian
+(complex-step differentiation).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ EPSILON = 1e-30
 _K = np.arange(1, HARMONICS + 1)[:, None]
 _SERIES_TERMS = 20
 _LOG_MU_STEP = 1e-5
-_OWN_RATE_STEP = 3e-4  # rad/s: slips change by far less than the speed that hides friction
+_OWN_RATE_STEP = 3e-4  # rad/s; changes slips by far less than the speed that hides friction
 
 
 def contact(theta: Array, coefficients: Array) -> tuple[Array, Array, Array]:
@@ -65,16 +65,15 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
 def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, Array]:
     """α0 (rad/s²), the density of its error ((rad/s²)²/Hz), and α0 of softened friction (rad/s²).
 
-    Per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
-    With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
-    that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md),
-    which the body's own ripple lets alternate sooner.
+    Per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`. With N = (n1, n2)ᵀ and c the centre of
+    mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On vibrating palms the directions of friction are
+    E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md); the body's ripple shortens their alternation.
     """
     phi1, phi2, omega1, omega2, alpha1, alpha2 = palms
     angle = np.array([phi1, phi1 + phi2])
     rate, acceleration = np.array([omega1, omega1 + omega2]), np.array([alpha1, alpha1 + alpha2])
     sign = np.array([1.0, -1.0])
-    t = sign * np.array([np.cos(angle), np.sin(angle)])  # a column for each palm
+    t = sign * np.array([np.cos(angle), np.sin(angle)])  # one column per palm
     n = np.array([-t[1], t[0]])
     omega0, mu = x[Z.OMEGA0], x[Z.MU]
     rho2, dither, damping = np.exp(2 * x[Z.LN_RHO]), np.exp(x[Z.LN_DITHER]), x[Z.DAMPING]
@@ -85,11 +84,11 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     c = to_plane @ r
     c1 = to_plane @ (-d * theta1 + rate[:, None] * (t.T @ c))  # ċ, since ṅ = −ω t and ṙ = −d θ̇
     gravity = np.array([0.0, -rig[0]]) + rig[1] * (alpha1 * n[:, 0] - omega1**2 * t[:, 0])
-    longer = rig[14]  # friction's arm than the radius, as a share
+    longer = rig[14]  # relative increase of friction's arm over the radius
     arms = r * (1 + longer)
     slip = t.T @ c1 + omega0 * arms - longer * rate[:, None] * r
 
-    # n·a = r̈ − 2 ṅ·ċ − n̈·c with n̈ = −α t − ω² n and r̈ = (v − r) θ̇² − d (α − α0); α0's part goes to the left
+    # n·a = r̈ − 2 ṅ·ċ − n̈·c with n̈ = −α t − ω² n and r̈ = (v − r) θ̇² − d (α − α0); α0's part moves to the left
     known = (v - r) * theta1**2 - d * acceleration[:, None]
     known = known + 2 * rate[:, None] * (t.T @ c1) + acceleration[:, None] * (t.T @ c) + rate[:, None] ** 2 * r
 
@@ -120,7 +119,7 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     follows = transmission + transmission_off
 
     def averaged_over(mean: Array, lag: Array) -> tuple[Array, Array]:
-        """Directions of friction, and the part of α0 that comes of contacts being pulled."""
+        """Directions of friction, and the part of α0 due to pulled contacts."""
         forces, rubbed, pulled = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean), 0.0
         for signs, share in sign_shares(mean, kappa, lag):
             s = np.array(signs)[:, None]
@@ -138,9 +137,9 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
 
 
 def left_open(x: FloatArray, u: FloatArray) -> float:
-    """Variance ((rad/s)²) of ω0 that the law of friction leaves after a step; u as in `transition`.
+    """Variance ((rad/s)²) of ω0 after a step due to the friction law's error; u as in `transition`.
 
-    Of an error of α0 that is white noise, ω0 relaxing at softened friction's rate: q (e^{2 z} − 1)/2z dt.
+    For white noise in α0 with ω0 relaxing at softened friction's rate: q (e^{2 z} − 1)/2z dt.
     """
     state = x[:, None].astype(complex)
     rate = _own_rate(state, u[1:7], u[9:])
@@ -154,7 +153,7 @@ def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _moved(x: Array, u: FloatArray) -> Array:
-    """ETDRK4 (Cox and Matthews 2002), exact for softened friction's rate of ω0; with none it is Runge–Kutta."""
+    """ETDRK4 (Cox and Matthews 2002), exact for softened friction's rate of ω0; Runge–Kutta when that rate is zero."""
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
 
     own_rate = _own_rate(x, palms, rig)

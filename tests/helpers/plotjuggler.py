@@ -1,14 +1,14 @@
-"""What PlotJuggler's ZeroMQ source can read, written down from its documentation and source, not from palmd's code."""
+"""Rules of PlotJuggler's ZeroMQ source, written from its documentation and source code, not from palmd's."""
 
 import re
 
 import msgpack
 
-NUMBER = re.compile(rb"[0-9]+(\.[0-9]+)?")  # what C's strtod reads to the end whatever the locale's digits
+NUMBER = re.compile(rb"[0-9]+(\.[0-9]+)?")  # accepted completely by C's strtod in any locale
 
 
 def problems(frames):
-    """Why it would drop or misread a message, empty when it would not."""
+    """Reasons why it would drop or misread a message; empty if none."""
     if len(frames) != 3:
         return [f"{len(frames)} frames"]
     topic, payload, seconds = frames
@@ -21,7 +21,7 @@ def problems(frames):
     except ValueError as error:
         return [f"payload: {error!r}"]
     if not isinstance(fields, dict):
-        return [f"the top level is a {type(fields).__name__}"]
+        return [f"top level is a {type(fields).__name__}"]
     return list(_faults("", fields))
 
 
@@ -29,7 +29,7 @@ def _faults(where, value):
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
-                yield f"{where}/{key!r}: the key is no string"
+                yield f"{where}/{key!r}: key is not a string"
             yield from _faults(f"{where}/{key}", inner)
     elif isinstance(value, list):
         for i, inner in enumerate(value):
@@ -42,7 +42,7 @@ def _faults(where, value):
 
 
 def series(topic, fields, prefix=""):
-    """The names under which it shows what can be plotted."""
+    """Names and values of the series that can be plotted."""
     for name, value in fields.items():
         if isinstance(value, dict):
             yield from series(topic, value, f"{prefix}{name}/")

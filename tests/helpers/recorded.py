@@ -1,4 +1,4 @@
-"""A small recorded run, without a daemon: messages of two ticks a line, as they would be published."""
+"""A small recorded run without a daemon: messages of two ticks a line, as they are published."""
 
 import math
 from datetime import UTC, datetime
@@ -26,7 +26,7 @@ def config(folder):
 
 
 def events(number):
-    """What the observer is fed in a tick: something of each kind, and in the third tick nothing."""
+    """Events of one tick for the observer: one of each kind; none in the third tick."""
     t = 0.1 * number + 1 / 3
     pads = [PadSample(t, 1, 0.02 / 3, 0.5), PadSample(t, 2, 0.03, None), PadLift(t + 1e-3, 2)]
     palms = [PalmSample(t + 2e-3, (0.5, 1.5), None, (-0.2, math.pi)), PalmSample(t + 3e-3, (0.5, 1.5))]
@@ -34,13 +34,13 @@ def events(number):
 
 
 def message(topic, fields, number, t=0.0):
-    """As the recorder stores it; `t` is Unix time after `T0` (s)."""
+    """A message as the recorder stores it; `t` is Unix time after `T0` (s)."""
     payload = msgpack.packb(stamp(fields, T0 + t, t, number))
     return RawMessage(topic, round((T0 + t + 1e-3) * 1e9), round((T0 + t) * 1e9), number, payload)
 
 
 def messages(ticks):
-    """Some ticks of a daemon, and a rig's truth, which is in no table."""
+    """Messages of some ticks of a daemon, and a rig's truth, which has no table."""
     for i in range(ticks):
         yield message(EVENTS.name, events_fields(0.1 * i, events(i)), i, 0.1 * i)
         yield message("rig/truth", {"psi_rad": 0.1 * i}, 100 + i, 0.1 * i)
@@ -49,7 +49,7 @@ def messages(ticks):
 
 
 def begun(folder, ticks=5):
-    """A run that nobody has finished: the file, and where each record of a message ends in it."""
+    """An unfinished run: the file, and the end position of each message's record."""
     file = RunFile(folder, preface(config(folder), BEGIN.isoformat()), BEGIN)
     ends = []
     for each in messages(ticks):
@@ -60,13 +60,13 @@ def begun(folder, ticks=5):
 
 
 def frames(topic, fields, number, t=0.0):
-    """As the bus carries it."""
+    """A message as frames on the bus."""
     raw = message(topic, fields, number, t)
     return [topic.encode(), raw.payload, b"%.6f" % (T0 + t)]
 
 
 def written(path, some, preface, *, compressed=False, finish=True):
-    """A file of these messages; its path."""
+    """Writes a file of these messages; returns its path."""
     with path.open("wb") as stream:
         writer = RunWriter(stream, preface, 0, compressed=compressed)
         for one in some:

@@ -1,4 +1,4 @@
-"""A ball or cylinder that rolls down a palm, by forces and torques in small steps, as a pad reports it."""
+"""A ball or cylinder that rolls down a palm, integrated in small steps, as a pad reports it."""
 
 import math
 
@@ -13,7 +13,7 @@ STEP_S = 5e-4
 
 
 def path(alpha, g, resistance, inertia, push, seconds):
-    """Way (m) down a slope alpha at each step: gravity, friction that makes it turn, and the torque of resistance."""
+    """Distance (m) down a slope alpha at each step: gravity, friction, and the torque of rolling resistance."""
     way, speed, out = 0.0, push, []
     for _ in range(int(seconds / STEP_S)):
         out.append(way)
@@ -28,7 +28,7 @@ def path(alpha, g, resistance, inertia, push, seconds):
 
 
 def rolled(rng, pad, phi1_deg, phi2_deg, g, yaw_error, t0=0.0, resistance=0.003, inertia=0.4):
-    """One roll as a pad reports it, held before, and lying on both palms after; and when it is over (s)."""
+    """One roll as a pad reports it, with the rest before and after on both palms; and its end time (s)."""
     phi = math.radians(phi1_deg) if pad == 1 else math.pi - math.radians(phi1_deg + phi2_deg)
     alpha = phi + yaw_error if pad == 1 else phi - yaw_error
     ways = path(alpha, g, resistance, inertia, rng.uniform(-0.02, 0.02), 0.6)

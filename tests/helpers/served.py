@@ -1,4 +1,4 @@
-"""The live page's server in a thread, a daemon's sockets that say what they are told to, and what a page hears."""
+"""The live page's server in a thread, scripted sockets of a daemon, and messages that a page receives."""
 
 import asyncio
 import contextlib
@@ -21,7 +21,7 @@ TOKEN = "open sesame"
 
 
 class Daemon:
-    """A publisher and a command socket, as a daemon has them; it answers what it is told to."""
+    """Publisher and command socket of a daemon; it sends scripted answers."""
 
     def __init__(self):
         self._context = zmq.Context()
@@ -43,7 +43,7 @@ class Daemon:
         self._commands.bind(self.command)
 
     def asked(self, wait_s=PATIENCE_S):
-        """The next command and the way back, None when none comes."""
+        """The next command and its return route; None if none comes."""
         if not self._commands.poll(wait_s * 1e3):
             return None
         route, payload = self._commands.recv_multipart()
@@ -57,7 +57,7 @@ class Daemon:
 
 
 class Served:
-    """The page's server in a thread of its own."""
+    """The page's server in its own thread."""
 
     def __init__(self, daemon, **more):
         self._ready = threading.Event()
@@ -81,7 +81,7 @@ class Served:
         assert not self._thread.is_alive()
 
     def get(self, path, **headers):
-        """Status, headers and body of a request, its path as it stands."""
+        """Status, headers and body of a request; the path is sent unchanged."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         with contextlib.closing(connection):
             connection.putrequest("GET", path, skip_host="Host" in headers)
@@ -93,7 +93,7 @@ class Served:
 
     @contextlib.contextmanager
     def page(self, token=TOKEN):
-        """A page's socket, and the first words to it."""
+        """A page's socket, and the first message to it."""
         with self.socket() as opened:
             opened.send(json.dumps({"token": token}))
             yield opened, json.loads(opened.recv(PATIENCE_S))["hello"]
@@ -104,30 +104,30 @@ class Served:
 
 
 def said(page, kind, what):
-    """The messages to a page of one kind, text or bytes, for as long as patience lasts."""
+    """Messages of one kind (text or bytes) to a page, until a time-out."""
     t_end = time.monotonic() + PATIENCE_S
     while time.monotonic() < t_end:
         message = page.recv(PATIENCE_S)
         if isinstance(message, kind):
             yield message
-    raise AssertionError(f"waited in vain for {what}")
+    raise AssertionError(f"time-out waiting for {what}")
 
 
 def batches(page):
-    """What comes in batches: (lost, commandable, {topic: payload})."""
-    for message in said(page, bytes, "what should be in a batch"):
+    """Batches: (lost, commandable, {topic: payload})."""
+    for message in said(page, bytes, "a batch"):
         _, lost, commandable, messages = msgpack.unpackb(message)
         yield lost, commandable, messages
 
 
 def answers(page):
-    """What a page is told of its orders."""
-    for message in said(page, str, "the answer to an order"):
+    """Answers to a page's commands."""
+    for message in said(page, str, "the answer to a command"):
         yield json.loads(message)["answer"]
 
 
 def heard(page, *topics):
-    """The messages that came until each of the topics has come."""
+    """Messages until each of the topics has come."""
     found = []
     for _, _, messages in batches(page):
         found += messages
@@ -137,11 +137,11 @@ def heard(page, *topics):
 
 
 def answer(page, command):
-    """What the page is told of a command."""
+    """The error (or None) in the answer to a page's command."""
     page.send(json.dumps({"id": 7, "cmd": command}))
-    told = next(answers(page))
-    assert (told["id"], told["cmd"]) == (7, command)
-    return told["error"]
+    reply_fields = next(answers(page))
+    assert (reply_fields["id"], reply_fields["cmd"]) == (7, command)
+    return reply_fields["error"]
 
 
 def until_commandable(page):

@@ -1,4 +1,4 @@
-"""The servos' host and their emulated bus in one loop without wires: half a millisecond a step."""
+"""The servos' host and their emulated bus in one loop without wires, in steps of 0.5 ms."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def tabletop(**arm) -> Config:
 
 
 class ServoBench:
-    """`host` is what the daemon has, `rig` the servos; `spoil` is given what goes to the host.
+    """`host` is the daemon's driver, `rig` the servos; `spoil` may alter the bytes to the host.
 
-    `held_s`: the adapter hands over what has come at multiples of this time only, as one with a latency timer.
+    `held_s`: the adapter delivers bytes only at multiples of this time, as one with a latency timer.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ServoBench:
         self._held_s = held_s
 
     def go(self, seconds: float, until: Callable[[], bool] = lambda: False) -> ServoBench:
-        """Live for so long, or until something holds."""
+        """Runs for so long (s), or until a condition holds."""
         t_end = self.t + seconds
         while self.t < t_end and not until():
             self.t += STEP_S
@@ -69,18 +69,18 @@ class ServoBench:
         return self
 
     def armed(self) -> ServoBench:
-        """Following, at home unless there is a target."""
+        """Follows; stands at home unless there is a target."""
         self.go(1.0, lambda: self.host.linked(self.t))
         self.host.request_tracking()
         return self.go(0.5, lambda: self.host.tracking)
 
     def play(self, name: str, begins: bool = True) -> None:
-        """Mischief with the servos."""
+        """Starts or ends a fault injection on the servos."""
         self.rig.inject_fault(FaultOrder(name, "arm", 1.0, self.t, math.inf), begins, HOME)
 
     @property
     def speed(self) -> float:
-        """Of the faster palm (rad/s)."""
+        """Speed of the faster palm (rad/s)."""
         return max(map(abs, self.rig.palms_at(self.t).rates))
 
 

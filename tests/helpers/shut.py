@@ -1,4 +1,4 @@
-"""A folder into which one may not look, whoever runs the tests."""
+"""A folder without access rights, whoever runs the tests."""
 
 import os
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ NOBODY = 65534
 
 @contextmanager
 def shut(folder):
-    """`folder` has no rights, and neither has who may do everything."""
+    """Removes all rights of `folder`, and the process's capability to ignore them."""
     may_all = os.geteuid() == 0
     folder.chmod(0)
     if may_all:

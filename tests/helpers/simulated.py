@@ -1,4 +1,4 @@
-"""Simulated runs as an observer is given them, with their truth."""
+"""Simulated runs as an observer receives them, with their truth."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ def simulated(
     imperfections: Imperfections = PERFECT,
     vibration: Vibration = AVERAGED,
 ) -> Run:
-    """Of a rig that passes for a perfect one, whatever it is."""
-    lines, told = simulate_log(
+    """A run whose rig is described as exactly known."""
+    lines, truth = simulate_log(
         kind, seed, seconds, options, body, rests=rests, absences=absences, imperfections=imperfections,
         vibration=vibration,
     )  # fmt: skip
     with written(lines) as path:
         log = read_log(path)
-    columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
-    constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
-    palms = np.column_stack([told["phi1_rad"], told["phi2_rad"]])
+    columns = (np.array(truth[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
+    constants = (truth[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
+    palms = np.column_stack([truth["phi1_rad"], truth["phi2_rad"]])
     return Run(log.events, log.rig, Truth(*constants, *columns), palms)
 
 
 def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tuple[Run, Run, tuple[Event, ...]]:
-    """Runs of two objects on palms that move alike; the one's readings up to `at`, the other's from `gap` on."""
+    """Runs of two objects under the same palm motion, and events: of the first up to `at`, of the second from `gap` (s)."""
     random = np.random.default_rng([seed, 7])
     first, second = (simulated(kind, seed, seconds, body=random_body(kind, random)) for _ in range(2))
-    assert np.allclose(first.palms, second.palms), "a contact was lost, and a motion drawn again: take another seed"
+    assert np.allclose(first.palms, second.palms), "a contact was lost and the motion redrawn: use another seed"
     late = [event for event in second.events if is_pad(event) and event.t_sample >= at + gap]
     early = [event for event in first.events if not is_pad(event) or event.t_sample < at]
     return first, second, tuple(sorted([*early, *late], key=lambda event: event.t_sample))
@@ -71,7 +71,7 @@ def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tupl
 def watched(
     watcher: LiveObserver, events: Sequence[Event], until: float | None = None, since: float = 0.0
 ) -> Iterator[Any]:
-    """Estimates every 10 ms of an observer that is fed the events as they happen: to the last, or until `until` (s)."""
+    """Estimates every 10 ms of an observer that receives the events in time order, to the last or until `until` (s)."""
     waiting = deque(events)
     for tick in range(1, round(((events[-1].t_sample if until is None else until) - since) / TICK_S) + 1):
         t = since + tick * TICK_S

@@ -1,4 +1,4 @@
-"""Pseudo-terminals that pass for serial lines."""
+"""Pseudo-terminals that replace serial lines."""
 
 import os
 import tty
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def line():
-    """The far end's descriptor, and the port's path."""
+    """Descriptor of the far end, and the port's path."""
     far, near = os.openpty()
     tty.setraw(near)
     try:

@@ -1,4 +1,4 @@
-"""A study that takes no time, for tests of the harness: its runs sleep a little, and one of them raises."""
+"""A study that takes almost no time, for tests of the harness: its runs sleep briefly, and one of them raises."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ToyRow(ToyTask):
 
 
 def run(task: ToyTask) -> ToyRow:
-    time.sleep(0.02 * (4 - task.seed % 4))  # the later seeds are finished first
+    time.sleep(0.02 * (4 - task.seed % 4))  # later seeds finish first
     if task.seed == RAISES:
         raise ValueError("no ground")
     return result(ToyRow, task, value=float(task.seed))

@@ -1,4 +1,4 @@
-"""A cylinder that the emulated palms turn by a plan, without wires, without a daemon and without waiting."""
+"""A cylinder that the emulated palms turn by a plan, without wires, without a daemon, in virtual time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.plant import PAD_LENGTH, Hinge, Plant, random_surface
 from palmd.rig.shapes import cylinder
 
-STEP_S = 2e-3  # the cylinder goes slowly
+STEP_S = 2e-3  # the cylinder moves slowly
 ARM_S = 0.016
 ANGLE_NOISE_RAD = 1.5e-4
 PADS = (1, 2)
@@ -42,11 +42,11 @@ def turned(
     phi2_error_rad: float = 0.0,
     imperfections: Imperfections = PERFECT,
 ) -> list[Event]:
-    """What a daemon that believes the pads are as `configured` gives its observer; the same arguments, the same events.
+    """Events for the observer of a daemon whose pads are described by `configured`; cached by arguments.
 
-    Each pad reads its middle by `bend_m` more than its ends, and the rig has these `imperfections`. The pads' times are
-    `late_s` too late, and the arm tells a phi2 that is too large by `phi2_error_rad`. Raises PlanError for a plan that
-    the limits do not allow.
+    Each pad reads `bend_m` more in its middle than at its ends, and the rig has these `imperfections`. The pads' times
+    are `late_s` late, and the arm's phi2 is `phi2_error_rad` too large. Raises PlanError for a plan that exceeds the
+    limits.
     """
     rng = np.random.default_rng(seed)
     trajectory = compile_plan(PlanSpec.model_validate(plan), limits)

@@ -1,4 +1,4 @@
-"""The daemon's real core on the emulated rig, behind its real sockets, in a time of their own that runs fast."""
+"""The daemon's real core on the emulated rig, with real sockets, in accelerated virtual time."""
 
 import threading
 from concurrent.futures import Executor, Future
@@ -16,7 +16,7 @@ TICK_STEPS = 20
 
 
 class AtOnce(Executor):
-    """Does the work when it is asked for."""
+    """Executes work immediately on submission."""
 
     def submit(self, work, /, *args, **kwargs):
         future = Future()
@@ -29,9 +29,9 @@ class AtOnce(Executor):
 
 @contextmanager
 def running(real, config, seed, bodies, crossed=False, pad_options=GOOD_PADS):
-    """A rig as `real` says, and a daemon on it as `config` says; the world, for mischief.
+    """A rig described by `real` and a daemon configured by `config`; yields the world, for fault injection.
 
-    The first of `bodies` is on the palms, others are for exchanging it. The pads' plugs may be `crossed`.
+    The first of `bodies` is on the palms, the others are for exchange. The pads' plugs may be `crossed`.
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
     world = World(real, seed, bodies=bodies, pad_options=pad_options)
@@ -60,7 +60,7 @@ def running(real, config, seed, bodies, crossed=False, pad_options=GOOD_PADS):
                 bus.reply(reply)
             if core.state is State.READY:
                 ready.set()
-            over.wait(0.0 if core.setpoints.moving else 0.002)  # at rest it need not hurry
+            over.wait(0.0 if core.setpoints.moving else 0.002)  # no hurry at rest
 
     thread = threading.Thread(target=live)
     thread.start()

@@ -1,8 +1,8 @@
-"""The part of V+ that palmd's controller program is written in, as Python: enough to find its typos and to run it.
+"""The subset of V+ that palmd's controller program uses, translated to Python, to find errors and to run it.
 
-A file is translated program by program. Reals are kept in single precision, arguments go by reference, a variable
-that was never given a value cannot be read: as on a controller. Two operators that V+ might rank otherwise than
-one thinks must be parted by parentheses here. What touches robot, line or tasks is handed to `rim`.
+A file is translated program by program. As on a controller, reals have single precision, arguments are passed by
+reference, and reading an unset variable is an error. Two operators whose precedence in V+ may be unexpected must be
+separated by parentheses. Robot, line and task functions are handled by `rim`.
 """
 
 import re
@@ -33,7 +33,7 @@ spin sqr sqrt state status step stop switch tas task then time timer to tool tps
 value wait while window write xor
 """
 KEYWORDS = set(_WORDS.split())
-"""What V+ takes for its own in any case of letters, so that no variable may be called so."""
+"""Reserved words of V+ in any case; no variable may have such a name."""
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>\d+(?:\.\d+)?)|'(?P<code>.)|\"(?P<text>[^\"]*)\"|(?P<name>\$?[a-z][a-z0-9_.]*)"
@@ -46,22 +46,22 @@ _KIND = {
 
 
 class VPlusError(Exception):
-    """What is wrong with a program's text."""
+    """Error in a program's text."""
 
 
 def single(value):
-    """As a controller keeps it."""
+    """The value in single precision, as a controller stores it."""
     return value if isinstance(value, str) else struct.unpack("f", struct.pack("f", value))[0]
 
 
 def code_of(line):
-    """A line without its comment, which begins with a semicolon outside of quotes."""
+    """A line without its comment, which begins with a semicolon outside quotes."""
     found = re.match(r"(?:'.|\"[^\"]*\"|[^;'\"])*", line)
     return found[0].strip()
 
 
 class Expression:
-    """One expression, token by token; `names` says what each variable is."""
+    """One expression, token by token; `names` resolves each variable."""
 
     def __init__(self, text, names):
         self._names, self._at = names, 0
@@ -86,14 +86,14 @@ class Expression:
         return kind, value
 
     def whole(self):
-        """All of it, as Python."""
+        """The whole expression as Python."""
         python = self._chain()
         if self._next[0] is not None:
             raise VPlusError(f"{self._next[1]!r} is too much")
         return python
 
     def list(self):
-        """Expressions with commas between, as Python."""
+        """Comma-separated expressions as Python."""
         found = [self._chain()]
         while self._next[1] == ",":
             self._take()
@@ -175,7 +175,7 @@ class Expression:
         return self._names.place(name, index)
 
     def reference(self):
-        """Where its value lies: the variable itself, or a copy's."""
+        """Reference to its value: the variable itself, or a copy."""
         kind, value = self._next
         if kind == "name":
             self._at += 1
@@ -186,7 +186,7 @@ class Expression:
         return f"([{self.whole()}], 0)"
 
     def target(self):
-        """Container and key of the variable that it is."""
+        """Container and key of the variable."""
         kind, value = self._take()
         if kind != "name":
             raise VPlusError(f"{value!r} is no variable")
@@ -194,7 +194,7 @@ class Expression:
 
 
 class Names:
-    """A program's parameters and automatic variables; all else is global and begins with `pd.`."""
+    """A program's parameters and automatic variables; all others are global and begin with `pd.`."""
 
     def __init__(self, parameters):
         self.parameters, self.automatic = list(parameters), set()
@@ -202,12 +202,12 @@ class Names:
         self.declare(())
 
     def declare(self, names):
-        """More automatic variables."""
+        """Declares further automatic variables."""
         names = list(names)
         self.automatic |= set(names)
         taken = KEYWORDS & {name.removeprefix("$") for name in (*self.parameters, *names)}
         if taken:
-            raise VPlusError(f"{', '.join(taken)} is a word of V+ itself")
+            raise VPlusError(f"{', '.join(taken)} is a reserved word of V+")
 
     def place(self, name, index):
         if len(name.removeprefix("$")) > NAME_MAX:
@@ -229,7 +229,7 @@ class Program:
     def __init__(self, head, lines):
         found = re.fullmatch(r"\.PROGRAM ([a-z][a-z0-9.]*)\((.*)\)", head)
         if found is None:
-            raise VPlusError(f"{head!r} is no head of a program")
+            raise VPlusError(f"{head!r} is not a program head")
         self.name = found[1]
         self.parameters = [each.strip() for each in found[2].split(",") if each.strip()]
         self.names = Names(self.parameters)
@@ -334,13 +334,13 @@ class Program:
 
 
 def _split(text):
-    """At the commas outside of brackets and quotes."""
+    """Splits at commas outside brackets and quotes."""
     parts = re.findall(r"(?:'.|\"[^\"]*\"|\[[^\]]*\]|\((?:[^()]|\([^()]*\))*\)|[^,])+", text)
     return [part.strip() for part in parts]
 
 
 class Module:
-    """All programs of a file, and the globals they share. `functions` answers for robot, line and tasks."""
+    """All programs of a file and their shared globals. `functions` answers for robot, line and tasks."""
 
     def __init__(self, text, functions=None, rim=None):
         self.programs, self.globals = {}, {}
@@ -371,20 +371,20 @@ class Module:
         for program in self.programs.values():
             for name, count in program.calls:
                 if name not in self.programs:
-                    raise VPlusError(f"{program.name} calls {name}, which is not there")
+                    raise VPlusError(f"{program.name} calls {name}, which does not exist")
                 if count != len(self.programs[name].parameters):
                     raise VPlusError(f"{program.name} calls {name} with {count} arguments")
-            # a logical unit's number is given by ATTACH, a place by HERE or SET
+            # ATTACH sets a logical unit's number, HERE or SET a location
             never = program.names.read_or_set - assigned - {"pd.lun", "pd.here", "pd.nom"}
             if never:
                 raise VPlusError(f"{program.name} reads {', '.join(sorted(never))}, which nothing sets")
 
     def call(self, name, arguments=()):
-        """Run one program; arguments are references, (container, key) each."""
+        """Runs a program; arguments are references (container, key)."""
         self.programs[name].run(arguments, self.globals, self._functions, self.call, self._rim, single)
 
     def value(self, name, *arguments):
-        """Run a program on these values; what its last argument has become."""
+        """Runs a program on these values; returns the final value of its last argument."""
         cells = [[argument] for argument in arguments]
         self.call(name, [(cell, 0) for cell in cells])
         return cells[-1][0]

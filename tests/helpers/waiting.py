@@ -1,15 +1,15 @@
-"""Waiting that has an end and says what it waited for."""
+"""Waiting with a time-out and a message."""
 
 import time
 
-PATIENCE_S = 20.0  # how long a slow machine may take; no test passes the sooner for it
+PATIENCE_S = 20.0  # time-out for a slow machine; tests do not pass sooner because of it
 
 
 def wait(look, what, pause_s=0.02, patience_s=PATIENCE_S):
-    """What `look` returns, once it is true; `what` is told otherwise, called first if it can be."""
+    """The first true result of `look`; after the time-out an error with `what`, which is called if it can be."""
     deadline = time.monotonic() + patience_s
     while not (found := look()):
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited in vain for {what() if callable(what) else what}")
+            raise AssertionError(f"time-out waiting for {what() if callable(what) else what}")
         time.sleep(pause_s)
     return found

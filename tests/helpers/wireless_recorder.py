@@ -1,4 +1,4 @@
-"""Records a run without wires as the recorder would."""
+"""Records a run without wires, as the recorder would."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tools.closed_loop import Instant
 
 
 class WirelessRecorder:
-    """See the module."""
+    """Recorder of one run; see the module."""
 
     def __init__(self, config: Config) -> None:
         self._ended: list[ClosedFile] = []
@@ -24,18 +24,18 @@ class WirelessRecorder:
         self._t_begun = time.time()
 
     def take(self, instant: Instant) -> None:
-        """All that was published in a tick."""
+        """Records all messages of a tick."""
         for topic, fields in instant.messages.items():
             self.publish(topic, fields, instant.t)
 
     def publish(self, topic: str, fields: Fields, t: float) -> None:
-        """One message of the tick at `t` (s)."""
+        """Records one message of the tick at `t` (s)."""
         now = self._t_begun + t
         payload = msgpack.packb(stamp(dict(fields), now, t, self._numbers[topic]))
         self._numbers[topic] += 1
         self._recording.take([topic.encode(), payload, b""], now)
 
     def finish(self) -> Path:
-        """The recording."""
+        """The finished recording."""
         self._recording.finish()
         return self._ended[-1].path

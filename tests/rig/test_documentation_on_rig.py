@@ -6,8 +6,8 @@ Blocks that need none: `tests/unit/test_documentation_runs.py`. Why a block is n
 import re
 
 import docreader
-import lived
 import pytest
+import rig_recording
 from harness import Bench, wait
 
 from palmd.bus.command_client import CommandClient
@@ -29,7 +29,7 @@ def bench(tmp_path_factory):
 @pytest.mark.parametrize("page", docreader.pages(with_a_daemon=True))
 def test_blocks_of(page, bench, tmp_path):
     (tmp_path / "lively.yaml").write_bytes((bench.folder / "lively.yaml").read_bytes())
-    reader = docreader.Reader(tmp_path, lived.path(), bench.path)
+    reader = docreader.Reader(tmp_path, rig_recording.path(), bench.path)
     words = SHORTER | {"tcp://127.0.0.1:43731": bench.rig_info["truth"]}
     for block in docreader.blocks_of(page, with_a_daemon=True):
         if "palmd run" in block.text and bench.daemon.alive:

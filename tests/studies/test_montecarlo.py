@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from answered import NO_SHAPE, THETA, answer, support, told
+from perfect_answer import NO_SHAPE, THETA, answer, simulator_truth, support
 
 from palmd.events import Estimate, ShapeEstimate
 from palmd.record.eventlog import read_log
@@ -21,7 +21,7 @@ from tools.studies.silent_observer import SilentObserver
 NAN = math.nan
 
 
-TRUTH = truth_of(told())
+TRUTH = truth_of(simulator_truth())
 BOUND = Bound(np.full(360, 2e-5), 5e-4, 0.05, 0.005)
 
 

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from answered import NO_SHAPE, THETA, answer, support, told
+from perfect_answer import NO_SHAPE, THETA, answer, simulator_truth, support
 from scipy import stats
 
 from palmd.model.shape import basis
@@ -167,7 +167,7 @@ def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruc
 
 
 def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
-    row = row_of(TASK, told(), answer())
+    row = row_of(TASK, simulator_truth(), answer())
     assert (row.kind, row.seed, row.seconds) == (TASK.kind, TASK.seed, TASK.seconds)
     assert row.converged
     assert row.e_h_m < 1e-8
@@ -179,7 +179,7 @@ def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
 
 def test_a_wrong_part_of_the_outline_that_fits_by_a_turn_is_wrong():
     """The score looks for the best rotation of all; what ψ says of the motion is part of what is believed."""
-    row = row_of(TASK, told(), answer(h=support(THETA + 1.0), psi=answer().psi))
+    row = row_of(TASK, simulator_truth(), answer(h=support(THETA + 1.0), psi=answer().psi))
     assert row.best_e_h_m < 1e-8
     assert row.e_h_m > 1e-5
     assert far(row)
@@ -210,7 +210,7 @@ def test_z_of_known_size():
         rig=np.linspace(-1.0, 1.0, RIG), rig_covariance=np.diag(np.arange(1.0, RIG + 1.0) ** 2),
         contradicted=5.0 * (np.arange(RIG) == 11),
     )  # fmt: skip
-    row = row_of(TASK, told(), off)
+    row = row_of(TASK, simulator_truth(), off)
     assert row.beliefs["ln_rho"].z == pytest.approx(math.log(14 / 13) * 13.0)
     assert row.beliefs["ln_mass"].z == pytest.approx(math.log(100 / 98) * 9.8)
     assert row.beliefs["mu"].z == pytest.approx(-0.5)
@@ -224,7 +224,7 @@ def test_z_of_known_size():
 
 
 def test_normals_are_asked_where_they_were_touched_and_elsewhere():
-    row = row_of(TASK, told(), answer(h_sd=np.where(THETA < 2.0, 1e-5, 1e-3)))
+    row = row_of(TASK, simulator_truth(), answer(h_sd=np.where(THETA < 2.0, 1e-5, 1e-3)))
     sds = {
         name: {b.sd for key, b in row.beliefs.items() if key.startswith(f"h_{name}_")}
         for name in ("touched", "untouched")
@@ -233,14 +233,14 @@ def test_normals_are_asked_where_they_were_touched_and_elsewhere():
 
 
 def test_where_there_is_no_friction_or_no_outline_none_is_asked_for():
-    assert "mu" not in row_of(TASK, told(mu=0.0, dither_m_s=None), answer()).beliefs
-    row = row_of(TASK, told(), answer(**NO_SHAPE, reason="too little"))
+    assert "mu" not in row_of(TASK, simulator_truth(mu=0.0, dither_m_s=None), answer()).beliefs
+    row = row_of(TASK, simulator_truth(), answer(**NO_SHAPE, reason="too little"))
     assert (row.converged, row.reason, row.beliefs) == (False, "too little", {})
 
 
 def test_a_line_tells_the_whole_row():
     for row in (
-        row_of(TASK, told(), answer(turned_sd=math.nan)),
+        row_of(TASK, simulator_truth(), answer(turned_sd=math.nan)),
         sbc.SbcRow("rig", 3, 10.0, error="ValueError: no ground"),
     ):
         line = json.loads(json.dumps(as_line(row), allow_nan=False))

@@ -8,8 +8,8 @@ import socket
 
 import docblocks
 import docreader
-import lived
 import pytest
+import rig_recording
 
 from palmd.config.any_config import as_yaml
 
@@ -24,8 +24,8 @@ def free_addresses():
 @pytest.mark.parametrize("page", docreader.pages(with_a_daemon=False))
 def test_blocks_of(page, tmp_path):
     config = tmp_path / "configured.yaml"
-    config.write_text(as_yaml(lived.configured()))
-    reader = docreader.Reader(tmp_path, lived.path(), config)
+    config.write_text(as_yaml(rig_recording.configured()))
+    reader = docreader.Reader(tmp_path, rig_recording.path(), config)
     for block in docreader.blocks_of(page, with_a_daemon=False):
         beside, _ = free_addresses()
         reader.run(block, free_addresses(), None, {"tcp://127.0.0.1:9999": beside})

@@ -5,10 +5,10 @@ import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import lived
 import numpy as np
 import plotjuggler
 import pytest
+import rig_recording
 import zmq
 from waiting import wait
 
@@ -28,7 +28,7 @@ def sent():
     """What the daemon sends: (topic, fields without stamp) of every topic."""
     recognised = ObjectEstimate(1.0, ("cup", "lid"), np.array([0.2, 0.7]), 0.1, 1)
     topics = {topic.name: topic for topic in TOPICS}
-    for name, fields in lived.published():
+    for name, fields in rig_recording.published():
         if name in topics:
             yield topics[name], {key: value for key, value in fields.items() if key not in STAMP}
     yield OBJECT, object_fields(recognised)

@@ -6,7 +6,7 @@ import sys
 import threading
 from pathlib import Path
 
-import lived
+import rig_recording
 import zmq
 
 from palmd.record.player import frames
@@ -17,7 +17,7 @@ LINE = re.compile(r"r1 ([\d.]+) ± [\d.]+ mm, r2 ([\d.]+) ± [\d.]+ mm, psi (-?[
 
 def test_it_prints_what_is_published(tmp_path):
     address = f"ipc://{tmp_path}/publish"
-    estimates = [fields for topic, fields in lived.published() if topic == "palm/estimate"]
+    estimates = [fields for topic, fields in rig_recording.published() if topic == "palm/estimate"]
     unknown, known = estimates[0], [fields for fields in estimates if fields["valid"]][-1]
     assert not unknown["valid"]
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
@@ -29,7 +29,7 @@ def test_it_prints_what_is_published(tmp_path):
             watchdog.start()
             assert socket.recv() == b"\x01palm/estimate"  # it listens, and to nothing else
             for fields in (unknown | {"seq": 0}, known | {"seq": 99}, known | {"seq": 100}):
-                socket.send_multipart(frames(lived.raw("palm/estimate", fields)))
+                socket.send_multipart(frames(rig_recording.raw("palm/estimate", fields)))
             lines = [process.stdout.readline() for _ in range(2)]
             process.kill()
             watchdog.cancel()

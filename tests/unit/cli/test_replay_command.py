@@ -10,11 +10,11 @@ import sys
 import threading
 import time
 
-import lived
 import msgpack
 import plotjuggler
 import pytest
 import recorded
+import rig_recording
 import zmq
 
 from palmd.cli import main
@@ -30,7 +30,7 @@ from tools.published import validate
 
 def rewritten(path, change=lambda message: message, **metadata):
     """The run that was lived with each message changed, left out where None, and other metadata."""
-    run = read_run(lived.path())
+    run = read_run(rig_recording.path())
     said = {METADATA: {**run.metadata, **metadata}}
     with path.open("wb") as stream:
         writer = RunWriter(stream, Preface(said, run.preface.attachments), 0, compressed=True)
@@ -62,7 +62,7 @@ def without(topic, *numbers):
 
 def tick_count():
     """How many ticks the run that was lived has."""
-    return sum(topic == EVENTS.name for topic, _ in lived.published())
+    return sum(topic == EVENTS.name for topic, _ in rig_recording.published())
 
 
 def answers(path):
@@ -70,13 +70,13 @@ def answers(path):
 
 
 def test_the_observer_says_the_same_again_to_the_last_bit():
-    ticks = answers(lived.path())
-    events = [fields for topic, fields in lived.published() if topic == EVENTS.name]
+    ticks = answers(rig_recording.path())
+    events = [fields for topic, fields in rig_recording.published() if topic == EVENTS.name]
     assert [tick.number for tick in ticks] == list(range(len(events)))
     assert not any(tick.differences for tick in ticks)
-    told = [fields for topic, fields in lived.published() if topic == ESTIMATE.name]
+    told = [fields for topic, fields in rig_recording.published() if topic == ESTIMATE.name]
     assert any(fields["valid"] for fields in told)  # there was something to agree about
-    assert any(topic == IMPROVEMENT.name for topic, _ in lived.published())
+    assert any(topic == IMPROVEMENT.name for topic, _ in rig_recording.published())
 
 
 def test_what_the_smoother_said_is_part_of_it(tmp_path):
@@ -86,10 +86,10 @@ def test_what_the_smoother_said_is_part_of_it(tmp_path):
 
 def test_check_agrees(capsys):
     count = tick_count()
-    assert main(["replay", str(lived.path()), "--check"]) == 0
+    assert main(["replay", str(rig_recording.path()), "--check"]) == 0
     out, err = capsys.readouterr()
     first, second = out.splitlines()
-    assert first == f"{lived.path()}: {count} of {count} ticks agree to the last bit"
+    assert first == f"{rig_recording.path()}: {count} of {count} ticks agree to the last bit"
     assert re.fullmatch(r"the lifecycle's rules hold in \d+ states and \d+ entries of the log", second)
     assert err == ""
 
@@ -197,10 +197,11 @@ def heard(socket, count):
 def test_a_replay_sends_the_same_frames_in_the_same_order(tmp_path):
     address = f"ipc://{tmp_path}/publish"
     wanted = [
-        [topic.encode(), msgpack.packb(fields), b"%.6f" % fields["timestamp"]] for topic, fields in lived.published()
+        [topic.encode(), msgpack.packb(fields), b"%.6f" % fields["timestamp"]]
+        for topic, fields in rig_recording.published()
     ]
     with subscriber(address) as socket:
-        assert main(["replay", str(lived.path()), "--speed", "50", "--publish", address]) == 0
+        assert main(["replay", str(rig_recording.path()), "--speed", "50", "--publish", address]) == 0
         found = heard(socket, len(wanted))
         assert not socket.poll(0)
     assert found == wanted
@@ -243,7 +244,7 @@ def test_a_port_that_is_taken_is_one_clear_line(capsys):
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         address = f"tcp://127.0.0.1:{port}"
-        assert main(["replay", str(lived.path()), "--publish", address]) == 1
+        assert main(["replay", str(rig_recording.path()), "--publish", address]) == 1
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert f"{address} is in use" in err
@@ -268,7 +269,7 @@ def test_usage_errors(arguments, told, capsys):
 def test_a_replay_says_that_it_is_one_once_a_second(tmp_path):
     address = f"ipc://{tmp_path}/publish"
     with subscriber(address, b"replay/") as socket:
-        assert main(["replay", str(lived.path()), "--speed", "2", "--publish", address]) == 0
+        assert main(["replay", str(rig_recording.path()), "--speed", "2", "--publish", address]) == 0
         found = heard(socket, 1)
         while socket.poll(0):
             found += heard(socket, 1)
@@ -277,7 +278,7 @@ def test_a_replay_says_that_it_is_one_once_a_second(tmp_path):
         assert plotjuggler.problems(heard_frames) == []
         told = msgpack.unpackb(heard_frames[1])
         assert validate(REPLAY, told) == []
-        assert (heard_frames[0], told["path"], told["speed"]) == (b"replay/run", lived.path().name, 2.0)
+        assert (heard_frames[0], told["path"], told["speed"]) == (b"replay/run", rig_recording.path().name, 2.0)
 
 
 def test_a_loop_goes_on_until_ctrl_c(tmp_path):

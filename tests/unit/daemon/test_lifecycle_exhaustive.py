@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import pytest
-from abstract_rig import Rig, happenings
+from abstract_rig import Rig, next_events
 
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.faults import FAULTS, FaultMonitor
@@ -48,7 +48,7 @@ def explored(rig, *commands):
     while waiting:
         rig, node = waiting.popleft()
         copy = rig.copies()
-        for name, do in happenings(rig, *([commands] if commands else [])):
+        for name, do in next_events(rig, *([commands] if commands else [])):
             after = copy()
             do(after)
             node.ways[name] = number(after)

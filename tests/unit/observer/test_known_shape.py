@@ -105,10 +105,10 @@ def test_pose_and_motion_of_a_known_outline(kind, seed):
     assert np.sqrt(np.mean(psi**2)) < 0.03
     assert np.sqrt(np.mean((psi / [e.sd["psi"] for e in valid]) ** 2)) < 3.0
     for name in ("r1", "r2"):
-        error = np.array([getattr(e, name) for e in valid]) - np.interp(t, run.t, run.told[f"{name}_m"])
+        error = np.array([getattr(e, name) for e in valid]) - np.interp(t, run.t, run.truth[f"{name}_m"])
         assert np.sqrt(np.mean(error**2)) < 1.5e-4
         assert np.sqrt(np.mean((error / [e.sd[name] for e in valid]) ** 2)) < 3.0
-    assert valid[-1].mass == pytest.approx(run.told["mass_kg"], rel=0.03)
+    assert valid[-1].mass == pytest.approx(run.truth["mass_kg"], rel=0.03)
     drawn = watcher.shape(valid[-1].t)
     assert drawn.h == pytest.approx(bodies[0].support.sample(drawn.theta), abs=1e-4), "in the file's own frame"
 

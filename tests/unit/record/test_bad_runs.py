@@ -1,8 +1,8 @@
 """Recordings that cannot be used: each is one clear line with the file's name, and changes nothing."""
 
-import lived
 import pytest
 import recorded
+import rig_recording
 
 from palmd.cli import main
 from palmd.quantities import ESTIMATE, IMPROVEMENT
@@ -34,7 +34,7 @@ COMMANDS = {
 
 
 def written(path, topics=(), attached=True, **metadata):
-    run = read_run(lived.path())
+    run = read_run(rig_recording.path())
     said = {METADATA: {**run.metadata, **metadata}} if metadata != {"none": True} else {}
     recorded.written(path, run.messages(*topics), Preface(said, run.preface.attachments if attached else {}))
 
@@ -46,10 +46,10 @@ def folder(tmp_path_factory):
     written(folder / "foreign.mcap", none=True)
     written(folder / "eventless.mcap", topics=(ESTIMATE.name, "palm/info"))
     written(folder / "unconfigured.mcap", attached=False)
-    (folder / "truncated.mcap").write_bytes(lived.path().read_bytes()[:60])
+    (folder / "truncated.mcap").write_bytes(rig_recording.path().read_bytes()[:60])
     (folder / "prose.mcap").write_text("a run of last week\n")
     (folder / "empty.mcap").touch()
-    (folder / "magic.mcap").write_bytes(lived.path().read_bytes()[:8])
+    (folder / "magic.mcap").write_bytes(rig_recording.path().read_bytes()[:8])
     (folder / "folder.mcap").mkdir()
     return folder
 
@@ -67,9 +67,9 @@ def test_it_is_told_in_one_line(folder, tmp_path, capsys, command, name):
 
 def test_a_recording_is_known_by_what_is_in_it(tmp_path, capsys):
     named = tmp_path / "run.jsonl"
-    named.write_bytes(lived.path().read_bytes())
+    named.write_bytes(rig_recording.path().read_bytes())
     outs = tmp_path / "a", tmp_path / "b"
-    for source, out in zip((named, lived.path()), outs, strict=True):
+    for source, out in zip((named, rig_recording.path()), outs, strict=True):
         assert main(["estimate", str(source), "-o", str(out), "--observer", "quasistatic"]) == 0
     assert outs[0].read_bytes() == outs[1].read_bytes()
     assert capsys.readouterr().err == ""
@@ -77,7 +77,7 @@ def test_a_recording_is_known_by_what_is_in_it(tmp_path, capsys):
 
 def test_an_event_log_is_no_recording(tmp_path, capsys):
     log = tmp_path / "run.jsonl"
-    assert main(["export", str(lived.path()), "-o", str(log)]) == 0
+    assert main(["export", str(rig_recording.path()), "-o", str(log)]) == 0
     for command in (["replay", str(log)], ["export", str(log), "-o", str(tmp_path / "out.zip")]):
         assert main(command) == 1
         assert capsys.readouterr().err == f"{log}: is not an MCAP file\n"
@@ -98,9 +98,9 @@ def test_what_is_left_of_a_run_that_was_cut_off_is_used_and_this_is_said(tmp_pat
 def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
     # too short for an answer, and told so alike
     log = tmp_path / "run.jsonl"
-    assert main(["export", str(lived.path()), "-o", str(log)]) == 0
+    assert main(["export", str(rig_recording.path()), "-o", str(log)]) == 0
     outs = tmp_path / "a", tmp_path / "b"
-    for source, out in zip((lived.path(), log), outs, strict=True):
+    for source, out in zip((rig_recording.path(), log), outs, strict=True):
         assert main(["reconstruct", str(source), "-o", str(out)]) == 0
     first, second = (out.read_text().rsplit('"seconds"', 1)[0] for out in outs)
     assert first == second
@@ -108,7 +108,7 @@ def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
 
 def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
     path = tmp_path / "run.mcap"
-    run = read_run(lived.path())
+    run = read_run(rig_recording.path())
     fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}
     fields |= {"frame": 1, "established": True, "touched": [0], "rig": [0.0] * len(RIG_NAMES), "spread": [1.0, 2.0]}
     recorded.written(path, [recorded.message(IMPROVEMENT.name, fields, 0)], run.preface)

@@ -7,11 +7,11 @@ import sys
 import types
 import zipfile
 
-import lived
 import numpy as np
 import pytest
 import recorded
-import reported
+import rig_recording
+import synthetic_runs
 from mcap.reader import make_reader
 
 from palmd.cli import main
@@ -25,12 +25,12 @@ from palmd.rig.world import default_config
 
 
 def exported(target, *arguments, run=None):
-    assert main(["export", str(run or lived.path()), "-o", str(target), *arguments]) == 0
+    assert main(["export", str(run or rig_recording.path()), "-o", str(target), *arguments]) == 0
     return target
 
 
 def of(topic):
-    return [fields for name, fields in lived.published() if name == topic]
+    return [fields for name, fields in rig_recording.published() if name == topic]
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def odd(tmp_path):
 
 def test_an_event_log_reads_back_as_what_the_observer_was_fed(tmp_path):
     log = read_log(exported(tmp_path / "run.jsonl"))
-    run = read_run(lived.path()).event_log()
+    run = read_run(rig_recording.path()).event_log()
     assert log.events == run.events
     assert log.rig == run.rig
     assert log.notes == ()
@@ -87,7 +87,7 @@ def rows(stream):
 def test_a_table_has_a_row_for_each_message_and_loses_no_bit(tmp_path):
     folder = exported(tmp_path / "tables")
     assert {path.name for path in folder.iterdir()} == {
-        f"{name.replace('/', '-')}.csv" for name in {name for name, _ in lived.published()}
+        f"{name.replace('/', '-')}.csv" for name in {name for name, _ in rig_recording.published()}
     }
     with (folder / "palm-estimate.csv").open(newline="") as stream:
         table = rows(stream)
@@ -123,7 +123,7 @@ def test_a_zip_holds_the_same_tables(tmp_path):
 def test_a_field_that_comes_later_has_its_column_too(tmp_path):
     said = {"valid": False, "sd": {}}, {"valid": True, "sd": {"r1_m": 0.5}, "late": [1]}, {"valid": True, "sd": {}}
     told = [("palm/estimate", fields, 0.1 * number, number) for number, fields in enumerate(said)]
-    run = reported.write_packed(tmp_path / "run.mcap", told)
+    run = synthetic_runs.write_packed(tmp_path / "run.mcap", told)
     with (exported(tmp_path / "tables", run=run) / "palm-estimate.csv").open(newline="") as stream:
         table = rows(stream)
     assert [(row["valid"], row["sd.r1_m"], row["late"]) for row in table] == [
@@ -159,12 +159,12 @@ def null(value):
 
 def test_every_message_is_there_in_json(in_json):
     assert [(topic, fields) for topic, fields, *_ in in_json if topic != "scene"] == [
-        (topic, null(fields)) for topic, fields in lived.published()
+        (topic, null(fields)) for topic, fields in rig_recording.published()
     ]
 
 
 def test_json_messages_keep_their_times_and_are_strict(in_json):
-    wanted = [lived.raw(*each) for each in lived.published()]
+    wanted = [rig_recording.raw(*each) for each in rig_recording.published()]
     found = [message for topic, _, _, message, _, _ in in_json if topic != "scene"]
     for message, raw in zip(found, wanted, strict=True):
         assert (message.log_time, message.publish_time) == (raw.log_time_ns, raw.publish_time_ns)
@@ -198,7 +198,7 @@ def test_a_scene_goes_with_each_outline(in_json):
     shapes = [fields for fields in of("palm/shape") if fields["mono_ns"] in valid]
     assert len(shapes) >= 10
     assert [fields["valid"] for _, fields in scenes] == [valid[fields["mono_ns"]] for fields in shapes]
-    assert [t for t, _ in scenes] == [lived.raw("palm/shape", fields).log_time_ns for fields in shapes]
+    assert [t for t, _ in scenes] == [rig_recording.raw("palm/shape", fields).log_time_ns for fields in shapes]
     assert all(len(fields["outline_x_m"]) == len(fields["outline_y_m"]) == 361 for _, fields in scenes)
 
 
@@ -303,7 +303,7 @@ def test_rerun_gets_every_number_with_its_time(rerun, tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules["palmd.record.export_rerun"], "ROWS", 50)
     exported(tmp_path / "run.rrd")
     assert (tmp_path / "run.rrd").exists()
-    wanted = [(lived.raw("palm/estimate", f).publish_time_ns, f["sd"].get("r1_m")) for f in of("palm/estimate")]
+    wanted = [(rig_recording.raw("palm/estimate", f).publish_time_ns, f["sd"].get("r1_m")) for f in of("palm/estimate")]
     found = rerun.columns["palm/estimate/sd/r1_m"]
     assert repr(found) == repr(2 * [each for each in wanted if each[1] is not None])
     assert rerun.columns["palm/estimate/valid"][-1][1] == float(of("palm/estimate")[-1]["valid"])
@@ -325,7 +325,7 @@ def test_rerun_gets_scene_and_states(rerun, tmp_path):
 def test_without_rerun_it_is_said(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.delitem(sys.modules, "palmd.record.export_rerun", raising=False)
-    assert main(["export", str(lived.path()), "-o", str(tmp_path / "run.rrd")]) == 1
+    assert main(["export", str(rig_recording.path()), "-o", str(tmp_path / "run.rrd")]) == 1
     assert (
         capsys.readouterr().err
         == f"the format rrd needs rerun-sdk, which is not installed: {install_line('rerun-sdk', 'rerun')}\n"
@@ -351,7 +351,7 @@ def test_an_empty_folder_is_filled_and_a_file_replaced(tmp_path):
 
 def test_another_recording_is_not_replaced(odd, capsys):
     before = odd.read_bytes()
-    assert main(["export", str(lived.path()), "-o", str(odd)]) == 1
+    assert main(["export", str(rig_recording.path()), "-o", str(odd)]) == 1
     assert "is a recorded run" in capsys.readouterr().err
     assert odd.read_bytes() == before
 
@@ -360,15 +360,15 @@ def test_what_cannot_be_exported_to_is_one_clear_line_and_nothing_is_lost(tmp_pa
     full = tmp_path / "full"
     full.mkdir()
     (full / "mine.txt").write_text("mine")
-    before = lived.path().read_bytes()
+    before = rig_recording.path().read_bytes()
     for target, arguments, told in (
         (tmp_path / "run.xyz", (), "add --as log|csv|mcap-json|rrd"),
         (tmp_path / "no" / "run.jsonl", (), "cannot be written: No such file"),
         (full, (), "is not empty"),
         (full, ("--as", "log"), "is a folder"),
-        (lived.path(), (), "is a recorded run"),
+        (rig_recording.path(), (), "is a recorded run"),
     ):
-        assert main(["export", str(lived.path()), "-o", str(target), *arguments]) == 1
+        assert main(["export", str(rig_recording.path()), "-o", str(target), *arguments]) == 1
         out, err = capsys.readouterr()
         assert out == ""
         assert told in err
@@ -376,7 +376,7 @@ def test_what_cannot_be_exported_to_is_one_clear_line_and_nothing_is_lost(tmp_pa
         assert err.count("\n") == 1
     assert [path.name for path in full.iterdir()] == ["mine.txt"]
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
-    assert lived.path().read_bytes() == before
+    assert rig_recording.path().read_bytes() == before
 
 
 def test_a_fault_in_the_middle_leaves_nothing(tmp_path, capsys, monkeypatch):
@@ -384,7 +384,7 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path, capsys, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("palmd.record.export_csv.cell", full)
-    assert main(["export", str(lived.path()), "-o", str(tmp_path / "tables")]) == 1
+    assert main(["export", str(rig_recording.path()), "-o", str(tmp_path / "tables")]) == 1
     assert "No space left" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

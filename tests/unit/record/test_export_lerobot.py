@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 
 from palmd.cli import main
 from palmd.quantities import MOTION
@@ -22,9 +22,9 @@ def folder(tmp_path_factory) -> Path:
     commanded = {"phi1_cmd_rad": 0.7, "phi2_cmd_rad": 1.5}
     messages = (
         (topic, fields | commanded if topic == MOTION.name else fields, t, number)
-        for topic, fields, t, number in reported.told(2.0)
+        for topic, fields, t, number in synthetic_runs.messages(2.0)
     )
-    run = reported.write(path, messages)
+    run = synthetic_runs.write(path, messages)
     assert main(["export", str(run), "-o", str(path / "set"), "--as", "lerobot"]) == 0
     return path / "set"
 

@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-import lived
+import rig_recording
 
 from palmd.record.export_json import SCENE, schema
 from palmd.record.run import read_run
@@ -37,7 +37,8 @@ def test_every_panel_stands_somewhere():
 
 def test_every_path_leads_to_a_field():
     known = {
-        topic: schema(topic, fields) for topic, fields in field_examples(read_run(lived.path()), lambda: None).items()
+        topic: schema(topic, fields)
+        for topic, fields in field_examples(read_run(rig_recording.path()), lambda: None).items()
     }
     found = list(paths())
     assert len(found) > 20

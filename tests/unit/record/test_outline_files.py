@@ -6,9 +6,9 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import ezdxf
-import lived
 import numpy as np
 import pytest
+import rig_recording
 from ezdxf import units
 
 from palmd.cli import main
@@ -114,9 +114,9 @@ def test_a_drawing_in_dxf_has_its_unit_and_its_layers(tmp_path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_runs_last_valid_outline_is_exported(tmp_path, suffix, capsys):
     target = tmp_path / f"outline{suffix}"
-    assert main(["export", str(lived.path()), "-o", str(target)]) == 0
+    assert main(["export", str(rig_recording.path()), "-o", str(target)]) == 0
     assert capsys.readouterr().err == ""
-    last = [fields for topic, fields in lived.published() if topic == "palm/shape"][-1]
+    last = [fields for topic, fields in rig_recording.published() if topic == "palm/shape"][-1]
     if suffix == ".csv":
         rows = np.loadtxt(target, delimiter=",", skiprows=8)
         x, y, normal = rows[:, 0], rows[:, 1], np.radians(rows[:, 6])
@@ -131,7 +131,7 @@ def test_a_runs_last_valid_outline_is_exported(tmp_path, suffix, capsys):
 def test_without_ezdxf_it_says_what_to_type_before_anything_is_read(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ezdxf", None)
     monkeypatch.delitem(sys.modules, "palmd.record.outline_dxf", raising=False)
-    for command in (["export", str(lived.path())], ["reconstruct", "no such log"]):
+    for command in (["export", str(rig_recording.path())], ["reconstruct", "no such log"]):
         assert main([*command, "-o", str(tmp_path / "o.dxf")]) == 1
         assert "a DXF drawing needs ezdxf, which is not installed: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

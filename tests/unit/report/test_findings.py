@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 
 from palmd.report import texts
 from palmd.report.findings import LEVELS, verdict_of
@@ -15,7 +15,7 @@ from palmd.report.series import FOLLOWING_RATIO, FaultInterval, Series, TopicSer
 
 @pytest.fixture(scope="module")
 def series(tmp_path_factory) -> Series:
-    return reported.series(tmp_path_factory.mktemp("run"), reported.told(2.0))
+    return synthetic_runs.series(tmp_path_factory.mktemp("run"), synthetic_runs.messages(2.0))
 
 
 def changed(series: Series, topic: str, **columns: np.ndarray) -> Series:

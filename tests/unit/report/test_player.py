@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -20,7 +20,7 @@ from palmd.report.body import pose_at
 
 
 def series(folder, **how):
-    return reported.series(folder, reported.told(2.5, **how))
+    return synthetic_runs.series(folder, synthetic_runs.messages(2.5, **how))
 
 
 def column(told, name):
@@ -73,7 +73,7 @@ def test_a_run_without_outlines_or_truth_still_plays(tmp_path):
 def page(tmp_path_factory):
     """The report of a run with two objects: its figures take their time."""
     folder = tmp_path_factory.mktemp("page")
-    source = reported.write(folder, reported.told(2.5, second_from=1.5))
+    source = synthetic_runs.write(folder, synthetic_runs.messages(2.5, second_from=1.5))
     assert main(["report", str(source), "-o", str(folder / "r.html")]) == 0
     return folder / "r.html"
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 
 from palmd.events import PalmMotion
 from palmd.report.body import contact_points, frames, outline_known, points, pose_at, turned
@@ -16,7 +16,7 @@ from palmd.system.arcs import joints_of
 
 @pytest.fixture
 def series(tmp_path):
-    return reported.series(tmp_path, reported.told(3.0, second_from=2.0))
+    return synthetic_runs.series(tmp_path, synthetic_runs.messages(3.0, second_from=2.0))
 
 
 @pytest.mark.parametrize("count", [180, 181])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 
 from palmd.report.errors import (
     body_at,
@@ -19,22 +19,22 @@ from palmd.report.errors import (
 
 @pytest.fixture
 def series(tmp_path):
-    return lambda **how: reported.series(tmp_path, reported.told(2.5, **how))
+    return lambda **how: synthetic_runs.series(tmp_path, synthetic_runs.messages(2.5, **how))
 
 
 def changed(folder, seconds, from_s, change, **how):
     """A run of which the estimates from a time on are changed."""
-    messages = list(reported.told(seconds, **how))
+    messages = list(synthetic_runs.messages(seconds, **how))
     for topic, fields, t, _ in messages:
         if topic == "palm/estimate" and t > from_s - 0.005:
             change(fields)
-    return reported.series(folder, messages)
+    return synthetic_runs.series(folder, messages)
 
 
 def test_errors_and_how_many_are_inside(series):
     read = series()
     errors = errors_of(read)
-    by_hand = [reported.SD_M * (3.0 if tick % 4 == 0 else 1.5) for tick in range(250)]
+    by_hand = [synthetic_runs.SD_M * (3.0 if tick % 4 == 0 else 1.5) for tick in range(250)]
     assert errors.error["r1_m"] == pytest.approx(by_hand, abs=1e-12)
     assert count_within_band(read, errors, "r1_m") == (150, 200)  # of 2 s of valid ticks every fourth is outside
     assert count_within_band(read, errors, "r2_m") == (200, 200)
@@ -66,8 +66,8 @@ def test_some_ticks_that_are_far_off_do_not_move_the_gauge(tmp_path):
 
 
 def test_truth_that_begins_late_is_not_made_up(tmp_path):
-    messages = [each for each in reported.told(2.0) if not (each[0] == "rig/truth" and each[2] < 0.995)]
-    read = reported.series(tmp_path, messages)
+    messages = [each for each in synthetic_runs.messages(2.0) if not (each[0] == "rig/truth" and each[2] < 0.995)]
+    read = synthetic_runs.series(tmp_path, messages)
     errors = errors_of(read)
     for name in ("r1_m", "psi_rad", "f1_n"):
         assert np.isnan(errors.error[name]).sum() == 100
@@ -84,21 +84,21 @@ def test_outline_is_turned_back_and_scored(series):
     read = series()
     (outline,) = last_outlines(read)
     found = outline_errors(outline, body_at(read, outline.t))
-    assert found.error == pytest.approx(np.full(180, reported.OFF_M), abs=1e-9)
-    assert found.h == pytest.approx(reported.true_h(reported.THETA + reported.GAUGE), abs=1e-9)
-    assert found.whole_score.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
-    assert found.whole_score.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
-    assert math.remainder(found.whole_score.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
+    assert found.error == pytest.approx(np.full(180, synthetic_runs.OFF_M), abs=1e-9)
+    assert found.h == pytest.approx(synthetic_runs.true_h(synthetic_runs.THETA + synthetic_runs.GAUGE), abs=1e-9)
+    assert found.whole_score.e_h == pytest.approx(synthetic_runs.OFF_M, rel=1e-3)
+    assert found.whole_score.max_error == pytest.approx(synthetic_runs.OFF_M, rel=1e-2)
+    assert math.remainder(found.whole_score.rotation - synthetic_runs.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
     assert found.touched_score.touched == pytest.approx(np.mean(outline.touched))
 
 
 def test_what_is_known_well_says_how_the_outline_is_turned(series):
     read = series()
     (outline,) = last_outlines(read)
-    outline.h[90:] += 1e-3 * np.sin(3 * reported.THETA[90:])
+    outline.h[90:] += 1e-3 * np.sin(3 * synthetic_runs.THETA[90:])
     outline.h_sd[90:] = 2e-3
     found = outline_errors(outline, body_at(read, outline.t))
-    assert np.abs(found.error[:90] - reported.OFF_M).max() < 2e-6
+    assert np.abs(found.error[:90] - synthetic_runs.OFF_M).max() < 2e-6
 
 
 def test_each_object_with_a_valid_outline_is_shown_once(series):
@@ -120,6 +120,6 @@ def test_without_a_valid_outline_the_last_one_is_shown(series):
 def test_scores_over_time(series):
     t, e_h, largest = scores_over_time(series())
     assert len(t) == 20
-    assert e_h == pytest.approx(np.full(20, reported.OFF_M), rel=1e-3)
+    assert e_h == pytest.approx(np.full(20, synthetic_runs.OFF_M), rel=1e-3)
     assert (largest >= e_h).all()
     assert [len(each) for each in scores_over_time(series(valid=False))] == [0, 0, 0]

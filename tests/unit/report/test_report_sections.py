@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 from matplotlib.figure import Figure
 
 from palmd import report as room
@@ -30,11 +30,11 @@ _KEPT = TemporaryDirectory(prefix="palmd-test-report-")
 
 @cache
 def path():
-    return reported.write(Path(_KEPT.name), reported.told(2.5, second_from=1.5, lost=range(200, 220)))
+    return synthetic_runs.write(Path(_KEPT.name), synthetic_runs.messages(2.5, second_from=1.5, lost=range(200, 220)))
 
 
 def report(folder, messages, **how):
-    return report_of(reported.series(folder, messages, **how))
+    return report_of(synthetic_runs.series(folder, messages, **how))
 
 
 def titles(made):
@@ -128,14 +128,14 @@ def test_pdf_has_its_pages_and_embeds_its_fonts(tmp_path):
 
 
 def test_the_same_run_gives_the_same_page_and_pdf(tmp_path):
-    whole = report(tmp_path, reported.told(1.0))
+    whole = report(tmp_path, synthetic_runs.messages(1.0))
     made = Report(whole.title, whole.facts, (whole.sections[0], *whole.sections[-3:]))
     assert as_html(made) == as_html(made)
     assert as_pdf(made) == as_pdf(made)
 
 
 def test_without_truth_and_outline(tmp_path):
-    made = report(tmp_path, reported.told(1.5, observer="extended", shapes=False, truths=False))
+    made = report(tmp_path, synthetic_runs.messages(1.5, observer="extended", shapes=False, truths=False))
     assert "Coverage" not in titles(made)
     assert "this observer estimates no outline" in said(made)["outcome"]
     sentences = [
@@ -146,7 +146,7 @@ def test_without_truth_and_outline(tmp_path):
 
 
 def test_never_valid(tmp_path):
-    made = report(tmp_path, reported.told(0.9, valid=False))
+    made = report(tmp_path, synthetic_runs.messages(0.9, valid=False))
     assert said(made)["outcome"] == "no estimate was valid"
     assert said(made)["objects"] == "one, never valid"
     assert "Reconstruction through time" not in titles(made)
@@ -154,18 +154,18 @@ def test_never_valid(tmp_path):
 
 
 def test_a_single_tick(tmp_path):
-    draw(report(tmp_path, reported.told(0.01)))
+    draw(report(tmp_path, synthetic_runs.messages(0.01)))
 
 
 def test_nothing_but_estimates(tmp_path):
-    made = report(tmp_path, [each for each in reported.told(1.0) if each[0] == ESTIMATE.name])
+    made = report(tmp_path, [each for each in synthetic_runs.messages(1.0) if each[0] == ESTIMATE.name])
     assert titles(made)[-3:] == ["Faults", "Messages", "Configuration"]
     assert not {"Motion", "Loop"} & set(titles(made))
     draw(made)
 
 
 def test_what_is_off_of_the_rig_in_the_end(tmp_path):
-    messages = [*reported.told(1.0)]
+    messages = [*synthetic_runs.messages(1.0)]
     sds, none = np.full(len(RIG_NAMES), 1.0), np.zeros(len(RIG_NAMES))
     off, not_off = (rig_fields(np.full(len(RIG_NAMES), value), sds, 2.0 * sds, none) for value in (9.0, 0.0))
     for said, count in (([off], len(RIG_NAMES)), ([off, not_off], 0)):
@@ -176,7 +176,7 @@ def test_what_is_off_of_the_rig_in_the_end(tmp_path):
 
 
 def test_numbers_that_are_not_known(tmp_path):
-    messages = list(reported.told(1.5))
+    messages = list(synthetic_runs.messages(1.5))
     for topic, fields, t, _ in messages:
         for name in [name for name, value in fields.items() if isinstance(value, float)]:
             if topic not in (LOOP.name, "rig/object") and (t < 0.2 or name in ("mu", "nis", "observability")):
@@ -185,12 +185,12 @@ def test_numbers_that_are_not_known(tmp_path):
 
 
 def test_cut_short_is_said(tmp_path):
-    made = report(tmp_path, reported.told(0.3), finish=False)
+    made = report(tmp_path, synthetic_runs.messages(0.3), finish=False)
     assert "not finished" in said(made)["recording"]
 
 
 def test_a_figure_of_a_long_run_stays_small(tmp_path):
-    read = reported.series(tmp_path, reported.told(2.0))
+    read = synthetic_runs.series(tmp_path, synthetic_runs.messages(2.0))
     state = next(section for section in report_of(read).sections if section.title == "State").parts[0]
 
     def points_of(figure):

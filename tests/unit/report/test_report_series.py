@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import reported
+import synthetic_runs
 
 from palmd.quantities import ESTIMATE, MOTION, SHAPE
 from palmd.record import RunError
@@ -13,8 +13,8 @@ from palmd.report.series import SD, series_of
 
 
 def test_everything_is_there_at_its_time(tmp_path):
-    messages = list(reported.told(3.0, second_from=2.0))
-    read = reported.series(tmp_path, messages)
+    messages = list(synthetic_runs.messages(3.0, second_from=2.0))
+    read = synthetic_runs.series(tmp_path, messages)
     sent = [fields for topic, fields, *_ in messages if topic == ESTIMATE.name]
     assert len(read.estimate.t) == len(sent) == 300
     assert read.estimate.t == pytest.approx(np.arange(300) * 0.01, abs=1e-8)
@@ -33,7 +33,7 @@ def test_everything_is_there_at_its_time(tmp_path):
 
 
 def test_what_lasted_and_what_went_wrong(tmp_path):
-    read = reported.series(tmp_path, reported.told(2.5))
+    read = synthetic_runs.series(tmp_path, synthetic_runs.messages(2.5))
     assert [spell.label for spell in read.states] == ["idle", "tracking"]
     assert read.states[0].end == read.states[1].begin == pytest.approx(0.2)
     assert read.states[-1].end == read.duration
@@ -53,17 +53,17 @@ def test_what_lasted_and_what_went_wrong(tmp_path):
 
 
 def test_a_field_that_comes_late_is_not_known_before(tmp_path):
-    messages = list(reported.told(1.0, shapes=False, truths=False))
+    messages = list(synthetic_runs.messages(1.0, shapes=False, truths=False))
     for topic, fields, t, _ in messages:
         if topic == ESTIMATE.name and t > 0.495:
             fields["sd"]["com_z_m"] = 1.0
-    column = reported.series(tmp_path, messages).estimate[SD + "com_z_m"]
+    column = synthetic_runs.series(tmp_path, messages).estimate[SD + "com_z_m"]
     assert np.isnan(column).sum() == 50
     assert column[50:].tolist() == [1.0] * 50
 
 
 def test_a_run_that_was_cut_off_tells_what_was_left_out(tmp_path):
-    path = reported.write(tmp_path, reported.told(1.0), finish=False)
+    path = synthetic_runs.write(tmp_path, synthetic_runs.messages(1.0), finish=False)
     whole = path.read_bytes()
     path.write_bytes(whole[:-137])
     run = read_run(path)
@@ -75,15 +75,15 @@ def test_a_run_that_was_cut_off_tells_what_was_left_out(tmp_path):
 
 def test_topics_that_are_not_there_are_empty(tmp_path):
     kept = (ESTIMATE.name,)
-    read = reported.series(tmp_path, [each for each in reported.told(0.5) if each[0] in kept])
+    read = synthetic_runs.series(tmp_path, [each for each in synthetic_runs.messages(0.5) if each[0] in kept])
     assert len(read.motion.t) == len(read.loop.t) == len(read.truth.t) == 0
     assert read.states == read.segments == read.faults == read.outlines == read.bodies == ()
     assert read.counts == {}
 
 
 def test_progress_counts_every_message(tmp_path):
-    messages = list(reported.told(0.3))
-    run = read_run(reported.write(tmp_path, messages))
+    messages = list(synthetic_runs.messages(0.3))
+    run = read_run(synthetic_runs.write(tmp_path, messages))
     done = []
     series_of(run, run.survey(), done.append)
     assert done == list(range(1, len(messages) + 1))
@@ -91,7 +91,7 @@ def test_progress_counts_every_message(tmp_path):
 
 def test_without_an_estimate_there_is_nothing_to_report(tmp_path):
     with pytest.raises(RunError, match=r"holds no palm/estimate: there is nothing to report"):
-        reported.series(tmp_path, [each for each in reported.told(0.3) if each[0] == MOTION.name])
+        synthetic_runs.series(tmp_path, [each for each in synthetic_runs.messages(0.3) if each[0] == MOTION.name])
 
 
 @pytest.mark.parametrize(
@@ -99,14 +99,14 @@ def test_without_an_estimate_there_is_nothing_to_report(tmp_path):
     [(ESTIMATE, "r1_m", "wide"), (ESTIMATE, "nis", None), (MOTION, "phi1_rad", [1.0]), (SHAPE, "h_m", [0.02])],
 )
 def test_a_message_that_is_not_what_its_topic_says_is_named(tmp_path, topic, field, value):
-    messages = list(reported.told(0.3))
+    messages = list(synthetic_runs.messages(0.3))
     next(fields for name, fields, *_ in messages if name == topic.name)[field] = value
-    path = reported.write_packed(tmp_path / "run.mcap", messages)
+    path = synthetic_runs.write_packed(tmp_path / "run.mcap", messages)
     with pytest.raises(RunError, match=rf"{topic.name}, message 0: "):
         series_of(read_run(path), read_run(path).survey())
 
 
 def test_a_column_nobody_told_is_unknown(tmp_path):
-    read = reported.series(tmp_path, reported.told(0.2))
+    read = synthetic_runs.series(tmp_path, synthetic_runs.messages(0.2))
     assert math.isnan(read.contact["age9_ms"][0])
     assert len(read.contact["age9_ms"]) == 20

@@ -1,4 +1,4 @@
-"""Runs made up message by message, so that everything a report says of them is known beforehand."""
+"""Runs composed message by message, so that every statement of a report about them is known beforehand."""
 
 import math
 from datetime import UTC, datetime
@@ -17,11 +17,11 @@ from palmd.report.series import series_of
 
 BEGIN = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
 TICK_S = 0.01
-GAUGE = 1.3  # ψ as estimated less ψ as it is (rad)
-SD_M = 1e-5  # of r1, r2 and h
-OFF_M = 4e-6  # by which every h is too large
+GAUGE = 1.3  # estimated ψ minus true ψ (rad)
+SD_M = 1e-5  # 1σ of r1, r2 and h
+OFF_M = 4e-6  # error of every h
 VALID_FROM_S = 0.5
-EVERY_FOURTH = 3.0  # sds that r1 is off by in every fourth tick, half as many in the others
+EVERY_FOURTH = 3.0  # error of r1 in standard deviations in every fourth tick, half as much in the others
 THETA = np.arange(180) * (math.tau / 180)
 DEGREES = np.arange(360) * (math.tau / 360)
 
@@ -35,7 +35,7 @@ def true_psi(t):
 
 
 def fields_of(topic, **said):
-    """All fields of a topic, 0 or empty where nothing is said."""
+    """All fields of a topic; 0 or empty where not given."""
     empty = {"number": 0.0, "bool": False, "text": "", "texts": [], "numbers": [], "sds": {}}
     known = {field.name: empty[field.kind] for field in topic.quantities if not field.name.endswith("*")}
     return known | said
@@ -63,14 +63,14 @@ def truth(t, number):
 
 def estimate(tick, number, observer, valid):
     t = tick * TICK_S
-    told = {name: value for name, value in truth(t, number).items() if name not in ("contact1", "contact2")}
-    told["r1_m"] += SD_M * (EVERY_FOURTH if tick % 4 == 0 else EVERY_FOURTH / 2)
-    told["psi_rad"] += GAUGE
-    told |= {"rho_m": 0.014, "mu": 0.2, "mass_kg": 0.13, "v1_m": 0.02, "v2_m": 0.02}
-    sd = {name: SD_M if name in ("r1_m", "r2_m") else 0.01 for name in told if name != "object"}
+    estimated = {name: value for name, value in truth(t, number).items() if name not in ("contact1", "contact2")}
+    estimated["r1_m"] += SD_M * (EVERY_FOURTH if tick % 4 == 0 else EVERY_FOURTH / 2)
+    estimated["psi_rad"] += GAUGE
+    estimated |= {"rho_m": 0.014, "mu": 0.2, "mass_kg": 0.13, "v1_m": 0.02, "v2_m": 0.02}
+    sd = {name: SD_M if name in ("r1_m", "r2_m") else 0.01 for name in estimated if name != "object"}
     return fields_of(
         ESTIMATE, valid=valid, observer=observer, sd=sd, nis=1.0, observability=0.3, touched=min(0.9, 0.3 * t),
-        e_f_m=math.nan, **told,
+        e_f_m=math.nan, **estimated,
     )  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def shape(t):
 
 
 def state(t):
-    """One fault from 0.6 s to 0.9 s, another from 1 s on."""
+    """One fault from 0.6 s to 0.9 s, another from 1 s."""
     stands = {"arm-late": 0.6 <= t < 0.9, "pad1-garbled": t >= 1.0}
     codes = [code for code, there in stands.items() if there]
     what = "idle" if t < 0.2 else "tracking"
@@ -90,8 +90,10 @@ def state(t):
     )
 
 
-def told(seconds, *, observer="shape", shapes=True, truths=True, valid=True, second_from=math.inf, lost=()):
-    """(topic, fields, t, number) of a run; ticks in `lost` are missing, from `second_from` (s) on lies object 2."""
+def messages(seconds, *, observer="shape", shapes=True, truths=True, valid=True, second_from=math.inf, lost=()):
+    """(topic, fields, t, number) of a run; ticks in `lost` are missing; from `second_from` (s) object 2 is on the
+    palms.
+    """
     numbers = {}
 
     def one(topic, fields, t):
@@ -102,28 +104,28 @@ def told(seconds, *, observer="shape", shapes=True, truths=True, valid=True, sec
         t = tick * TICK_S
         number = 2 if t >= second_from else 1
         settled = valid and t >= VALID_FROM_S
-        messages = [one(ESTIMATE.name, estimate(tick, number, observer, settled), t)]
-        messages.append(one(CONTACT.name, fields_of(CONTACT, age1_ms=9.0, age2_ms=11.0, arm_age_ms=math.nan), t))
+        of_tick = [one(ESTIMATE.name, estimate(tick, number, observer, settled), t)]
+        of_tick.append(one(CONTACT.name, fields_of(CONTACT, age1_ms=9.0, age2_ms=11.0, arm_age_ms=math.nan), t))
         moved = {"phi1_rad": 0.7, "phi2_rad": 1.5, "phi1_cmd_rad": math.nan, "phi2_cmd_rad": math.nan}
         segment = -1 if t < 0.3 else int(t)
-        messages.append(one(MOTION.name, fields_of(MOTION, plan="rock", segment=segment, arm_state="T", **moved), t))
+        of_tick.append(one(MOTION.name, fields_of(MOTION, plan="rock", segment=segment, arm_state="T", **moved), t))
         if tick % 10 == 0:
-            messages.append(one(STATE.name, state(t), t))
+            of_tick.append(one(STATE.name, state(t), t))
             if shapes:
-                messages.append(one(SHAPE.name, shape(t), t))
+                of_tick.append(one(SHAPE.name, shape(t), t))
         if tick % 100 == 0:
-            messages.append(one(LOOP.name, fields_of(LOOP, ticks=tick, overruns=2, pad1_bad_header=3, backend="c"), t))
+            of_tick.append(one(LOOP.name, fields_of(LOOP, ticks=tick, overruns=2, pad1_bad_header=3, backend="c"), t))
         if truths:
-            messages.append(one("rig/truth", truth(t, number), t))
+            of_tick.append(one("rig/truth", truth(t, number), t))
             if tick % 100 == 0:
                 body = {"h_m": true_h(DEGREES).tolist(), "rho_m": 0.014, "mass_kg": 0.13, "mu": 0.2}
-                messages.append(one("rig/object", body, t))
+                of_tick.append(one("rig/object", body, t))
         if tick not in lost:
-            yield from messages
+            yield from of_tick
 
 
 def write_packed(path, messages):
-    """The messages in chunks, whose checksums vouch for them whatever they say; the file."""
+    """Writes the messages in chunks with valid checksums, whatever the contents; returns the file."""
     begin = preface(recorded.config(path.parent), BEGIN.isoformat())
     return recorded.written(path, map(_raw, messages), begin, compressed=True)
 
@@ -136,7 +138,7 @@ def _raw(message):
 
 
 def write(folder, messages, *, finish=True):
-    """The messages as a recording; the file."""
+    """Writes the messages as a recording; returns the file."""
     file = RunFile(folder, preface(recorded.config(folder), BEGIN.isoformat()), BEGIN)
     for message in messages:
         file.write(_raw(message))
@@ -149,6 +151,6 @@ def write(folder, messages, *, finish=True):
 
 
 def series(folder, messages, **how):
-    """A run of these messages as a report reads it."""
+    """The series that a report reads from these messages."""
     run = read_run(write(folder, messages, **how))
     return series_of(run, run.survey())

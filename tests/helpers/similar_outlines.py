@@ -1,4 +1,4 @@
-"""Libraries of similar outlines: variations of one body, each a little off from all the others. Pure."""
+"""Libraries of similar outlines: variations of one body, each different from all the others."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_M, MOST_M = 0.3e-3, 1.0e-3
 """RMS over all normals between any two outlines after the best rotation."""
 
 LEAST_CURVATURE_RADIUS_M = 2.5e-3
-RADIUS_RANGE = 0.01  # of the mean radius, to either side
+RADIUS_RANGE = 0.01  # of the mean radius, in both directions
 H_SD_M = 20e-6
 RHO_SD = 0.02  # relative
 MASS_SD = 0.02
@@ -25,7 +25,7 @@ _ROTATIONS = 3600
 
 
 def difference(one: FloatArray, other: FloatArray) -> float:
-    """RMS between two support functions on 360 normals after the best rotation (m), to half a micrometre.
+    """RMS between two support functions on 360 normals after the best rotation (m), to 0.5 µm.
 
     Over rotations δ: mean of (h1(θ) − h2(θ + δ))² = mean h1² + mean h2² − 2·correlation(δ), by Fourier transforms.
     """
@@ -35,8 +35,8 @@ def difference(one: FloatArray, other: FloatArray) -> float:
     return math.sqrt(max(square, 0.0))
 
 
-def siblings(kind: Kind, count: int, rng: np.random.Generator) -> list[Body]:
-    """So many bodies that are variations of one random body of the kind, all within `LEAST_M` to `MOST_M`."""
+def similar_bodies(kind: Kind, count: int, rng: np.random.Generator) -> list[Body]:
+    """Variations of one random body of the kind, with mutual differences from `LEAST_M` to `MOST_M`."""
     base = random_body(kind, rng)
     bodies: list[Body] = []
     outlines: list[FloatArray] = []
@@ -55,12 +55,12 @@ def siblings(kind: Kind, count: int, rng: np.random.Generator) -> list[Body]:
 def _series(body: Body) -> Support:
     """The outline of a random body, which is always a Fourier series."""
     if not isinstance(body.support, Support):
-        raise TypeError(f"the outline of a {body.shape} is no Fourier series")
+        raise TypeError(f"the outline of a {body.shape} is not a Fourier series")
     return body.support
 
 
 def _varied(base: Support, rng: np.random.Generator) -> Support:
-    """The base with other harmonics; its centre of mass stays where it is."""
+    """The base with other harmonics; its centre of mass is unchanged."""
     c = list(base.coefficients)
     c[0] *= 1.0 + float(rng.uniform(-RADIUS_RANGE, RADIUS_RANGE))
     for k, sd in _VARIATION.items():
@@ -69,7 +69,7 @@ def _varied(base: Support, rng: np.random.Generator) -> Support:
 
 
 def as_stored(body: Body, name: str, rng: np.random.Generator) -> Outline:
-    """What would be known of the body from an earlier measurement: errors as large as the one-sigmas say."""
+    """The body as stored after an earlier measurement: errors are drawn with the stated 1σ."""
     sd = H_SD_M / math.sqrt(shape.HARMONICS + 1)
     error = shape.basis(_THETA) @ (sd * rng.standard_normal(shape.COEFFICIENTS))
     return Outline(

@@ -1,4 +1,4 @@
-"""A simulator's truth and a blind reconstruction of it that is perfect but for what is said."""
+"""A simulator's truth and a perfect reconstruction of it, apart from the given changes."""
 
 import math
 
@@ -15,7 +15,7 @@ def support(theta):
     return 0.02 + 1e-3 * np.cos(theta - 0.4) + 8e-4 * np.cos(2 * theta) + 3e-4 * np.sin(3 * theta)
 
 
-def told(**changes):
+def simulator_truth(**changes):
     lines = {
         "rho_m": 0.014, "mass_kg": 0.1, "mu": 0.2, "dither_m_s": 0.01, "damping_m2_s": 0.0, "theta_rad": THETA.tolist(),
         "h_m": support(THETA).tolist(), "t": T.tolist(), "psi_rad": np.sin(4.0 * T).tolist(),
@@ -26,7 +26,7 @@ def told(**changes):
 
 
 def answer(**changes):
-    """In a gauge that is 0.7 rad off, on the nodes of the truth and between them."""
+    """The gauge is 0.7 rad off; times lie on the nodes of the truth and between them."""
     t = np.arange(0.2, 2.9, 0.007)
     values = {
         "converged": True, "chi2": 1.0, "theta": THETA, "h": support(THETA + 0.7), "h_sd": np.full(360, 1e-5),
