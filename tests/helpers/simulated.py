@@ -59,7 +59,7 @@ def simulated(
 
 
 def swapped(kind: str, seed: int, at: float, gap: float, seconds: float) -> tuple[Run, Run, tuple[Event, ...]]:
-    """Runs of two objects under the same palm motion, and events: of the first up to `at`, of the second from `gap` (s)."""
+    """Runs of two objects under the same palm motion; events of the first up to `at`, of the second from `gap` (s)."""
     random = np.random.default_rng([seed, 7])
     first, second = (simulated(kind, seed, seconds, body=random_body(kind, random)) for _ in range(2))
     assert np.allclose(first.palms, second.palms), "a contact was lost and the motion redrawn: use another seed"

@@ -1,7 +1,7 @@
-"""Many bodies on two palms, in plain NumPy: Newton and Euler in the world, from the constraint differentiated twice.
+"""Many bodies on two palms in NumPy: Newton's and Euler's equations from the constraint differentiated twice.
 
-Written for comparison with the models; shares nothing with them but the meaning of the constants. Friction is that of
-palms that vibrate (docs/theory/vibration.md): the equations are solved for each pair of slip signs.
+An oracle that shares only the meaning of the constants with the models. Friction is that of vibrating palms
+(docs/theory/vibration.md): the equations are solved for each pair of slip signs.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from plain_friction import SIGN_PAIRS, by_sign, rippled_directions, sign_shares
 
 ORDER = 12
-# ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
+# ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, possibly more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
-KAPPA, TRANSMISSION, PERIOD, ARM = range(RIG + 15, RIG + 19)  # by how much these are off, the last two as shares
-STEPS = 2  # of the smoother, to the ripple that agrees with the shares that it makes
+KAPPA, TRANSMISSION, PERIOD, ARM = range(RIG + 15, RIG + 19)  # errors of these; the last two are relative
+STEPS = 2  # fixed-point steps of the smoother to a ripple consistent with its sign shares
 SHAPE = RIG + 19
 CONSTANTS = SHAPE + 2 * ORDER + 1
 
@@ -33,7 +33,7 @@ class Bodies:
         transmission: float = 1.0,
         half_period: float = 0.0,
     ) -> None:
-        """As a rig is described: κ of the relation between the palms' vibrations, λ of their transmission, 1/(2f)."""
+        """As the rig is described: κ of the palms' vibrations, their transmission λ, 1/(2f)."""
         self.p = parameters
         self.gravity, self.arm = gravity, arm
         self.kappa, self.transmission, self.half_period = kappa, transmission, half_period
@@ -47,7 +47,7 @@ class Bodies:
         return terms.sum(0).real, (1j * self.k * terms).sum(0).real, (-(self.k**2) * terms).sum(0).real
 
     def contacts(self, palms: np.ndarray, psi: np.ndarray) -> list[np.ndarray]:
-        """s1, s2: how far along each palm the contact point lies, from the COM's coordinates."""
+        """s1, s2: position of the contact along each palm, from the COM's coordinates."""
         lengths = []
         com = self.com(palms, psi)
         for number, angle in enumerate((palms[0], palms[0] + palms[1])):
@@ -58,14 +58,14 @@ class Bodies:
         return lengths
 
     def com(self, palms: np.ndarray, psi: np.ndarray) -> np.ndarray:
-        """From the distances to both palms, relative to the hinge."""
+        """The COM relative to the hinge, from the distances to both palms."""
         phi1, phi12 = palms[0], palms[0] + palms[1]
         N = np.array([[-math.sin(phi1), math.cos(phi1)], [math.sin(phi12), -math.cos(phi12)]])
         one, two = self.support(phi1 - psi - math.pi / 2)[0], self.support(phi12 - psi - 3 * math.pi / 2)[0]
         return np.linalg.solve(N, np.array([one, two]))
 
     def forces_and_spin(self, palms: np.ndarray, psi: np.ndarray, omega0: np.ndarray) -> np.ndarray:
-        """(f1, f2, α0) of every body: Newton and Euler in the world, three equations."""
+        """(f1, f2, α0) of every body from the three equations of Newton and Euler in the world frame."""
         phi = np.array([palms[0], palms[0] + palms[1]])
         omega, alpha = (np.array([palms[i], palms[i] + palms[i + 1]]) for i in (2, 4))
         sign = np.array([1.0, -1.0])
@@ -95,7 +95,7 @@ class Bodies:
         A[:, 2, 2] = -(rho**2)
         b[:, :2] = (still + hinge[:, None]).T + np.array([0.0, self.gravity])
         b[:, 2] = self.p[DAMPING] * omega0
-        longer = self.p[ARM]  # what only friction feels: a body that much larger on palms that much lower
+        longer = self.p[ARM]  # affects friction only: a body larger by this much on palms lower by this much
         arms = [-h[i] * (1 + longer) * n[i][:, None] + slope[i] * t[i][:, None] for i in range(2)]
 
         def solved(directions: Sequence[np.ndarray | int]) -> np.ndarray:
@@ -106,7 +106,7 @@ class Bodies:
             return np.linalg.solve(A, b[..., None])[..., 0].T
 
         speed = 2 / math.pi * dither
-        slips = [  # the palm's own points move across t
+        slips = [  # the palm's own points move along t
             t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) - longer * h[i] * omega[i]
             for i, arm in enumerate(arms)
         ]

@@ -1,7 +1,7 @@
-"""The Cramér–Rao bound against single shooting: no nodes, no process noise, no Jacobians, nothing of the smoother.
+"""The Cramér–Rao bound against single shooting without nodes, process noise, Jacobians or other parts of the smoother.
 
-The motion of many perturbed bodies is integrated side by side in plain NumPy over the whole record; differences of
-the readings give J, and (JᵀJ/σ² + prior⁻¹)⁻¹ the covariance.
+Plain NumPy integrates many perturbed bodies over the whole record; differences of their readings give J, and (JᵀJ/σ² +
+prior⁻¹)⁻¹ the covariance.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from palmd.rig.simulate import simulate_log
 from palmd.system.vibration import Vibration
 from tools.studies.bound import Truth, cramer_rao
 
-STEP_S = 1e-3  # friction is stiff where a slip passes the speed of the vibration
+STEP_S = 1e-3  # friction is stiff where a slip crosses the vibration's speed
 SECONDS = 2.0
-TOLERANCE = 0.02  # of each sd: the smoother has a little process noise and drops what comes after its last node
-FAST_HZ = 1e6  # a vibration that no body follows
-SPIN = CONSTANTS  # after the constants: ω0 at the start
+TOLERANCE = 0.02  # relative: the smoother has a little process noise and drops readings after its last node
+FAST_HZ = 1e6  # too fast for a body to follow
+SPIN = CONSTANTS  # index after the constants: ω0 at the start
 
 
 def _simulated(kind: str, seed: int, folder: Path) -> tuple[EventLog, Truth]:
     options, vibration = PlantOptions(friction_law="sign_pairs"), Vibration(frequency=FAST_HZ)
-    lines, told = simulate_log(kind, seed, SECONDS, options, vibration=vibration)
+    lines, truth = simulate_log(kind, seed, SECONDS, options, vibration=vibration)
     path = folder / "run.jsonl"
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
-    constants = (told[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
+    columns = (np.array(truth[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
+    constants = (truth[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
     return read_log(path), Truth(*constants, *columns)
 
 
 def _shot(
     bodies: Bodies, stretch: DataSegment, search: Search, psi0: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(times, ψ, ω0) of every body from the start of the stretch."""
+    """(times, ψ, ω0) of every body from the start of the segment."""
     count = math.ceil((stretch.end - stretch.start) / STEP_S)
     times = stretch.start + STEP_S / 2 * np.arange(2 * count + 1)
     palms = search.path.at(times)
@@ -58,7 +58,7 @@ def _shot(
 
 
 def _believed(p: np.ndarray, prior: Prior) -> np.ndarray:
-    """What the prior is about, in its one-sigmas: ln(ρ/h0), μ, ln u_d, the other constants, and the first spin."""
+    """Prior quantities in units of their 1σ: ln(ρ/h0), μ, ln u_d, the other constants, and the first spin."""
     dither = p[SATURATION] ** -0.5
     about = p.copy()
     about[LN_RHO] -= math.log(p[SHAPE])
@@ -68,7 +68,7 @@ def _believed(p: np.ndarray, prior: Prior) -> np.ndarray:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 3), ("rig", 1)])
-def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
+def test_the_bound_equals_that_of_single_shooting(kind: str, seed: int, tmp_path: Path) -> None:
     log, truth = _simulated(kind, seed, tmp_path)
     stretch = longest_segment(log.events)
     assert stretch is not None
@@ -86,7 +86,7 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
     bodies = Bodies(both, log.rig.gravity, log.rig.palm1_length if log.rig.hinge == "arc" else 0.0)
     times, psi, omega0 = _shot(bodies, stretch, search, float(spline(stretch.start)))
     inside = times < truth.t[-1]
-    assert psi[inside, 0] == pytest.approx(spline(times[inside]), abs=1e-3)  # one simulator or the other
+    assert psi[inside, 0] == pytest.approx(spline(times[inside]), abs=1e-3)  # two independent integrations
 
     paths = CubicHermiteSpline(times, psi, omega0)
     predicted, sigma = [], []
@@ -115,7 +115,7 @@ def test_the_bound_is_that_of_single_shooting(kind: str, seed: int, tmp_path: Pa
     assert bound.mu_sd == pytest.approx(math.sqrt(of_mu @ [dither, -truth.mu * dither**2 / 2]), rel=TOLERANCE)
     assert bound.mass_sd == pytest.approx(truth.mass * sd[LN_MASS], rel=TOLERANCE)
 
-    # h after the rotation that fits best where touched, found by rotating every eigenvector of the error
+    # h after the best rotation where touched; each eigenvector of the error is rotated
     phi = search.path.at(times)[:, :2]
     normals = np.concatenate([phi[:, 0] - psi[:, 0] - math.pi / 2, phi.sum(axis=1) - psi[:, 0] - 3 * math.pi / 2])
     touched = np.unique(np.round(np.degrees(normals)) % 360) * (math.tau / 360)

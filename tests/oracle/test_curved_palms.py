@@ -1,7 +1,7 @@
-"""The kernels for curved palms against the emulated plant's other form of them, and against the flat ones as κ → 0.
+"""The kernels for curved palms against the emulated plant, which uses other equations, and against flat palms as κ → 0.
 
-Palms that vibrate independently are emulated by the plant that averages over signs of slip, at a frequency that leaves
-the body no ripple, with the kernels' rounded kink.
+Independently vibrating palms are emulated by the averaging plant at a frequency without ripple, with the kernels'
+rounded kink.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from palmd.system.vibration import AVERAGED, INDEPENDENT, Vibration
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0), (0.0, -10.0)]
 LENGTH = 0.0555
-FAST_HZ = 1e7  # no body follows such a vibration
+FAST_HZ = 1e7  # too fast for a body to follow
 VIBRATIONS = {"averaged": AVERAGED, "independent": Vibration(frequency=FAST_HZ)}
 
 
@@ -100,7 +100,7 @@ def _state(body: Body, surface: FrictionSurface, psi: float, omega0: float, orde
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(
+def test_a_second_of_motion_agrees_with_the_emulated_plant(
     curvatures: tuple[float, float], vibration: Vibration
 ) -> None:
     body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
@@ -114,7 +114,7 @@ def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(
     for k in range(2000):
         middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))
         plant.advance(middle, end, dt)
-        if k % 4 == 3:  # the filters' longer steps
+        if k % 4 == 3:  # the filters use longer steps
             start = _plan((k - 3) * dt, *phi)
             jerk = (np.array(end.accelerations) - np.array(start.accelerations)) / (4 * dt)
             u = [4 * dt, *start.angles, *start.rates, *start.accelerations, *jerk, *rig]
@@ -137,7 +137,7 @@ def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, float]) -> None:
+def test_gradients_agree_with_those_of_the_implicit_contact(curvatures: tuple[float, float]) -> None:
     body, surface = _body(5, curvatures), FrictionSurface(0.12, 0.015, 1e-4)
     phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     palms, rig = [*phi, 0.4, -0.2, 0.5, 0.3], rig_inputs(_rig(curvatures))
@@ -166,12 +166,12 @@ def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, fl
     found = np.asarray(predict(x, P, u)[1])
     noise = np.asarray(predict(x, np.zeros_like(P), u)[1])
     assert noise[0, 0] == pytest.approx(shape_map.Q_PSI * dt)
-    assert noise[1, 1] >= shape_map.Q_OMEGA0 * dt, "what the law of friction leaves open comes on top"
+    assert noise[1, 1] >= shape_map.Q_OMEGA0 * dt, "the friction law's error is added"
     moved = transition @ P @ transition.T + noise
     assert found == pytest.approx(moved, rel=1e-4, abs=1e-6 * np.abs(moved).max())
 
 
-def test_nearly_flat_palms_are_flat_ones_to_a_nanometre() -> None:
+def test_nearly_flat_palms_agree_with_flat_ones_to_a_nanometre() -> None:
     body, surface = _body(7, (0.0, 0.0)), FrictionSurface(0.1, 0.01, 1e-4)
     x, P = _state(body, surface, 0.2, 0.5), np.eye(shape_map.N) * 1e-6
     palms = [0.7, 1.6, 0.4, -0.2, 0.5, 0.3]
@@ -192,7 +192,7 @@ def test_nearly_flat_palms_are_flat_ones_to_a_nanometre() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[float, float], seed: int) -> None:
+def test_array_functions_and_kernels_find_the_same_contacts(curvatures: tuple[float, float], seed: int) -> None:
     body = _body(seed, curvatures)
     h = _coefficients(body, shape.HARMONICS)
     phi1, phi2 = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
@@ -210,7 +210,7 @@ def test_the_arrays_find_the_contacts_that_the_kernels_find(curvatures: tuple[fl
     assert circle_radius((phi1, phi2), both, curvatures) == pytest.approx(h[0], abs=1e-12)
 
 
-def test_rows_of_orientations_are_gradients_of_readings() -> None:
+def test_orientation_rows_are_gradients_of_readings() -> None:
     curvatures = (14.0, -9.0)
     h = _coefficients(_body(2, curvatures), shape.HARMONICS)
     palms = PalmMotion.at_rest(joints_of(h[0], (0.75, 1.65), curvatures))
@@ -232,10 +232,10 @@ def test_rows_of_orientations_are_gradients_of_readings() -> None:
     ],
     ids=["bows", "standoffs", "arcs"],
 )
-def test_motion_on_pads_that_are_bowed_and_off_their_lines(
+def test_motion_on_bowed_and_displaced_pads_agrees_with_the_plant(
     curvatures: PadPair, sagittas: PadPair, standoffs: PadPair, vibration: Vibration
 ) -> None:
-    """The smoother's steps, readings and forces, against a plant whose palms are as far off."""
+    """The smoother's steps, readings and forces against a plant whose palms have the same imperfections."""
     pads = [PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagittas, standoffs, strict=True)]
     body, surface = _body(4, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
     imperfections = Imperfections(tuple(pads), (2e-3, 1e-3), friction=0.2)
@@ -270,7 +270,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
         assert float(derived(smoothing.force_function, form)(*nodes, p, z)[0]) == pytest.approx(contact.force, rel=3e-4)
 
 
-def test_what_is_too_concave_for_the_body_is_refused() -> None:
+def test_palms_too_concave_for_the_body_are_rejected() -> None:
     body = _body(1, (0.0, 0.0))
     with pytest.raises(ValueError, match="too concave for the body: kappa v is"):
         CurvedPlant(body, Hinge("fixed"), FrictionSurface(), (1.0 / max_curvature_radius(body), 0.0))
@@ -284,7 +284,7 @@ def test_points_lie_on_circles_through_the_hinge() -> None:
     assert np.linalg.norm(two - centre2, axis=1) == pytest.approx(np.full(5, 1 / 9.0), abs=1e-15)
 
 
-def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
+def test_a_rollout_ends_where_the_filters_steps_end() -> None:
     curvatures = (14.0, 11.5)
     body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
     phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
@@ -300,7 +300,7 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
         )
         jerk = [(b - a) / 0.0025 for a, b in zip(begin[4:], after[4:], strict=True)]
         x = np.asarray(predict(x, P, [0.0025, *begin, *jerk, *rig])[0]).ravel()
-    assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "of steps four times as long"
+    assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "the filter's steps are four times as long"
     assert told.shape == (rollout.OUTPUTS, rollout.SUBSTEPS)
     assert rig.shape == (RIG_INPUTS,)
 
@@ -311,7 +311,7 @@ def _rolls() -> tuple[ca.Function, ca.Function]:
 
 
 def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tuple[np.ndarray, np.ndarray]:
-    """What is told after each step, and where a blind search finds the contacts then: (steps, 8), (steps, 2)."""
+    """Outputs after each step, and the contacts found there by a search from scratch: (steps, 8), (steps, 2)."""
     roll, begin = _rolls()
     s, told, blind = begin(x, move, rig), [], []
     for call in range(calls):
@@ -326,7 +326,7 @@ def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tu
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_contacts_that_a_roll_follows_are_those_that_a_blind_search_finds(curvatures: tuple[float, float]) -> None:
+def test_contacts_tracked_by_a_rollout_agree_with_a_search_from_scratch(curvatures: tuple[float, float]) -> None:
     rig, errors, shifts = rig_inputs(_rig(curvatures)), [], []
     for seed in range(4):
         random, body = np.random.default_rng(seed), _body(seed, curvatures)
@@ -339,20 +339,20 @@ def test_contacts_that_a_roll_follows_are_those_that_a_blind_search_finds(curvat
         shifts.append(np.abs(np.diff(told[held][:, rollout.S], axis=0)).max(axis=1))
     error, shift = np.concatenate(errors), np.concatenate(shifts)
     assert len(error) > 100
-    assert np.quantile(shift, 0.9) > 1e-4, "they really move, by so much in a step"
+    assert np.quantile(shift, 0.9) > 1e-4, "the contacts move appreciably in a step"
     assert np.quantile(error, 0.9) < 5e-6
     assert error.max() < 1e-4
 
 
-def test_a_contact_that_jumps_is_one_that_nobody_relies_on() -> None:
-    """A lens whose flat side is flatter than the palm is concave: there it is touched at two places."""
+def test_a_rollout_over_a_jumping_contact_is_marked_as_invalid() -> None:
+    """A lens whose flat side is flatter than the palm touches at two places there."""
     curvatures = (14.0, 12.0)
     rig, phi = rig_inputs(_rig(curvatures)), joints_of(0.022, (math.radians(40.0), math.radians(95.0)), curvatures)
     least = []
     for flatness in (0.45, 0.9):
         x = np.zeros(shape_map.N)
         x[[Z.PSI, Z.OMEGA0, Z.LN_RHO, Z.LN_DITHER, Z.SHAPE]] = 0.5, 4.0, math.log(0.017), math.log(0.01), 0.022
-        for k, bend in ((2, 1.5), (4, 1.0), (6, 0.5)):  # of v, summing up to a peak at 0 and π
+        for k, bend in ((2, 1.5), (4, 1.0), (6, 0.5)):  # of v, summing to a peak at 0 and π
             x[Z.SHAPE + 2 * k - 1] = flatness * bend * 0.022 / (1 - k**2)
         told, _ = _rolled(x, [*phi, *phi, 0.6, 0.0], rig, 1)
         least.append(told[:, 2:4].min(axis=1))

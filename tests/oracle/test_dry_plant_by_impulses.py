@@ -1,8 +1,8 @@
-"""Bodies that stick and slip against another formulation: Moreau's time stepping, solved by projected Gauss–Seidel.
+"""Sticking and slipping bodies against Moreau's time stepping, solved by projected Gauss–Seidel.
 
-There nothing is told apart into sticking and slipping: each step asks for the impulses that end it, those along palms
-within their cone, by sweeping over the four conditions. It is of first order, and needs no case by case. Static
-friction is no more than kinetic here: were it, either palm might go on being stuck to where the palms turn back.
+Each step finds the impulses that satisfy the four contact conditions at its end, friction within its cone, without
+distinguishing contact modes. The method is of first order. Static friction equals kinetic friction here; otherwise the
+choice of the stuck palm at reversals would be ambiguous.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ FIXED = Hinge("fixed", base=(0.0, 0.0))
 
 @dataclass
 class Stepped:
-    """Place and velocity (x, y, ψ) of a body, by impulses; the hinge is the origin."""
+    """Position and velocity (x, y, ψ) of a body, by impulses; the hinge is the origin."""
 
     body: object
     q: np.ndarray
     v: np.ndarray
 
     def rows(self, palms):
-        """Of both contacts: gap, normal row, tangent row, and what the palm does to both rates."""
+        """For both contacts: gap, normal row, tangent row, and the palm's contribution to both rates."""
         (phi1, phi2), (w1, w2) = palms.angles, palms.rates
         x, y, psi = self.q
         found = []
@@ -70,8 +70,8 @@ class Stepped:
         self.v, self.q = v, self.q + dt * v
 
 
-def test_it_rolls_sticks_and_slips_as_by_time_stepping():
-    """Through changes of the palm that it sticks to, and of the way it slips."""
+def test_rolling_sticking_and_slipping_agree_with_time_stepping():
+    """The stuck palm and the direction of slip change during the run."""
     rocking = Rocking(Rock(0.75, 0.5, 0.5, 0.3), Rock(1.65, 0.25, 0.8, 1.0))
     body = random_body("friction", np.random.default_rng(3))
     plant = DryPlant(body, FIXED, FrictionSurface(mu=MU))

@@ -66,8 +66,8 @@ def _contacts(lump: Lump, palms: np.ndarray, psi: float) -> list[float]:
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("arm", [0.0, 0.12])
-def test_the_forces_are_what_moves_the_body_along_the_constraint(seed: int, arm: float) -> None:
-    """Differentiate the constraint's geometry numerically and ask Newton and Euler for the same f1, f2, α0."""
+def test_the_forces_produce_the_motion_that_the_constraint_requires(seed: int, arm: float) -> None:
+    """Differentiates the constraint's geometry numerically and solves Newton's and Euler's equations for f1, f2, α0."""
     random = np.random.default_rng(seed)
     lump, palms, psi, omega0 = _state(random)
     rho, mu, dither, damping = 0.014, 0.2, 0.01, 3e-4
@@ -82,7 +82,7 @@ def test_the_forces_are_what_moves_the_body_along_the_constraint(seed: int, arm:
         return hinge + _com(lump, phi1, phi2, psi + omega0 * t + alpha0 * t * t / 2)
 
     def material(t: float, number: int) -> np.ndarray:
-        """Where the material point that touches palm `number` at t = 0 is, relative to the palm's own points."""
+        """Position of the material point that touches palm `number` at t = 0, relative to the palm's own points."""
         phi1, phi2 = palms[:2] + palms[2:4] * t
         angle = phi1 if number == 0 else phi1 + phi2
         sign = 1 - 2 * number
@@ -114,7 +114,7 @@ def test_the_forces_are_what_moves_the_body_along_the_constraint(seed: int, arm:
     assert torque == pytest.approx(rho**2 * alpha0, abs=1e-7)
 
 
-def test_a_disc_at_rest_is_carried_by_the_forces_of_statics() -> None:
+def test_a_disc_at_rest_has_the_forces_of_statics() -> None:
     """f1 = g sin φ12 / sin φ2 and f2 = g sin φ1 / sin φ2 per unit mass."""
     phi1, phi2 = 0.6, 1.6
     contacts = [0.02, 0.0, 0.02] * 2
@@ -124,7 +124,7 @@ def test_a_disc_at_rest_is_carried_by_the_forces_of_statics() -> None:
     assert float(f2) == pytest.approx(GRAVITY * math.sin(phi1) / math.sin(phi2))
 
 
-def test_offsets_undo_readings() -> None:
+def test_offsets_invert_readings() -> None:
     phi2, r1, r2, d1, d2 = 1.4, 0.02, 0.019, 1e-3, -2e-3
     one, two = (Contact(ca.SX(r), ca.SX(d), ca.SX(0)) for r, d in ((r1, d1), (r2, d2)))
     s1, s2 = readings(ca.SX(phi2), one, two)

@@ -1,4 +1,4 @@
-"""The law of friction on vibrating palms against values of an independent program (docs/theory/vibration.md)."""
+"""The friction law of vibrating palms against values of an independent program (docs/theory/vibration.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palmd.model import friction
 from palmd.model.contact import Contact
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 
-# φ1 φ2 ω1 ω2 α1 α2 ψ ω0; μ, V (mm/s), c (1e-4 m²/s); α0 f1 f2 of each law, of antiphase α0
+# φ1 φ2 ω1 ω2 α1 α2 ψ ω0; μ, V (mm/s), c (1e-4 m²/s); α0 f1 f2 of each law, α0 of antiphase
 REFERENCE = """
 0.75 1.65 0 0 0 0 0.883 0; 0.2 15 0|0.000260272 6.64713 6.70791|-1.16991 6.61298 6.68176|3.85923 6.87928 6.9478|-6.19905
 0.6 1.5 0 0 0 0 0.4 0.2; 0.1 15 0|71.1679 8.1935 5.70377|69.0958 8.20415 5.73018|73.0883 8.24836 5.76169|63.6262
@@ -23,7 +23,7 @@ REFERENCE = """
 1.1 1.4 0 0.8 0 -2 4.0 0.3; 0.3 18 0|-33.3738 5.07484 8.13714|-30.4634 5.08947 8.1389|-23.4656 5.55002 8.68276|-33.5212
 0.6 2.1 0.1 0.1 0.2 0.3 5.2 -0.15; 0.05 10 2|117.493 5.63396 5.33831|118.197 5.63871 5.3153|118.226 5.64564 5.32021|118.147
 """  # noqa: E501
-NO_RIPPLE = 0.0  # s: the reference is of vibrations so fast that the body's own slip does not alternate
+NO_RIPPLE = 0.0  # s: the reference has vibrations so fast that the body's own slip does not alternate
 LAWS = {
     "averaged": (0.0, 1.0, 1.0),
     "independent": (0.0, 1.0, 0.0),
@@ -71,7 +71,7 @@ def test_the_law_gives_the_reference_values_to_six_digits(row: str, law: str, mo
     assert found[: len(expected)] == pytest.approx(expected, rel=1e-5, abs=5e-6)
 
 
-def test_the_smooth_kink_is_as_near_to_the_arcsine_as_the_theory_says() -> None:
+def test_the_smooth_kink_approximates_the_arcsine_as_documented() -> None:
     x = np.linspace(-4, 4, 2001)
     off = friction.mean_direction(x, np) - 2 / math.pi * np.arcsin(np.clip(x, -1, 1))
     assert np.abs(off).max() == pytest.approx(0.09, abs=0.005)
@@ -81,7 +81,7 @@ def test_the_smooth_kink_is_as_near_to_the_arcsine_as_the_theory_says() -> None:
 
 
 @pytest.mark.parametrize("kappa", [-1.0, -0.4, 0.0, 0.7, 1.0])
-def test_the_shares_of_the_signs_sum_to_one_and_keep_each_palms_own(kappa: float) -> None:
+def test_sign_shares_sum_to_one_and_keep_each_palms_own_share(kappa: float) -> None:
     sigma = np.random.default_rng(1).uniform(-1, 1, (2, 100))
     shares = np.array(friction.sign_shares(sigma, kappa, xp=np))
     assert shares.sum(axis=0) == pytest.approx(1.0)

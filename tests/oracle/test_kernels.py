@@ -1,4 +1,6 @@
-"""The observers' kernels: Jacobians against differences, covariance algebra against the textbook, two models alike."""
+"""The observers' kernels: Jacobians against differences, covariance algebra against textbook forms, agreement of
+models.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
 FLAT = [0.0, 0.0]
-IN_PHASE = [-0.7, 0.8, 0.0, 2e-3, -0.2, 0.1, 0.2, -0.03]  # κ, λ, not the old law, 1/(2f); by how much these are off
+IN_PHASE = [-0.7, 0.8, 0.0, 2e-3, -0.2, 0.1, 0.2, -0.03]  # κ, λ, not the averaged law, 1/(2f); errors of these
 RIG = [9.81, 0.12, 0.12, 0.0, 0.1, *FLAT, *IN_PHASE]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
 JERK = [3.0, -4.0]
@@ -34,13 +36,13 @@ def _shape_state(random: np.random.Generator) -> np.ndarray:
 
 
 def _extended_state(x: np.ndarray) -> np.ndarray:
-    """The same instant of the same body, in the named state's coordinates."""
+    """The same body and instant in the coordinates of the named state."""
     X, Z = extended.X, shape_map.Z
     coefficients = x[Z.SHAPE :]
     y = np.zeros(extended.N)
     phi1, phi2 = PALMS[:2]
     y[[X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2]] = PALMS[:4]
-    # contact_rows is for ψ = 0: turn the palms instead of the body
+    # contact_rows is for ψ = 0: the palms are rotated instead of the body
     radii, readings = shape.contact_rows(phi1 - x[Z.PSI], phi2)
     y[[X.R1, X.R2]], y[[X.S1, X.S2]] = radii @ coefficients, readings @ coefficients
     y[X.OMEGA0], y[X.PSI], y[X.RHO] = x[Z.OMEGA0], x[Z.PSI], np.exp(x[Z.LN_RHO])
@@ -74,8 +76,8 @@ EXTENDED_U = [0.002, *PALMS[4:], *JERK, *RIG]
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_two_models_move_alike(seed: int) -> None:
-    """Named state and shape map are two coordinates for one motion: after a step they must still agree."""
+def test_both_models_predict_the_same_motion(seed: int) -> None:
+    """Named state and shape map are two coordinates of one motion; they agree after a step."""
     x = _shape_state(np.random.default_rng(seed))
     y = _extended_state(x)
     P_x, P_y = np.zeros((shape_map.N,) * 2), np.zeros((extended.N,) * 2)
@@ -100,7 +102,7 @@ def test_named_values_agree_between_the_models(seed: int) -> None:
 
 @pytest.mark.parametrize(("omega0", "dt"), [(1.3, 0.001), (0.4, 0.002)], ids=["faster than", "slower than"])
 def test_prediction_integrates_the_drift(omega0: float, dt: float) -> None:
-    """Against many small midpoint steps of the same model's own rates; slips faster or slower than the vibration."""
+    """Against many small midpoint steps of the same model's rates; slips faster or slower than the vibration."""
     x = _extended_state(_shape_state(np.random.default_rng(1)))
     x[extended.X.OMEGA0] = omega0
     u = [dt, *EXTENDED_U[1:]]
@@ -140,8 +142,8 @@ def test_prediction_propagates_covariance_with_the_true_jacobian(model) -> None:
 
 
 @pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])
-def test_an_update_is_the_textbooks(model) -> None:
-    """x + K y and (P⁻¹ + hᵀh/R)⁻¹ in information form, h by differences."""
+def test_an_update_equals_the_information_form(model) -> None:
+    """x + K y and (P⁻¹ + hᵀh/R)⁻¹, h by differences."""
     random = np.random.default_rng(6)
     x = _shape_state(random)
     extra = PALMS[:2]
@@ -193,10 +195,10 @@ def test_an_outlier_moves_the_state_no_more_than_a_reading_on_the_gate(model) ->
     on_the_gate = _array(update(x, P, [at + 5e-3, R, 1e9, 1.0, *extra])[0]).ravel() - x
     assert np.linalg.norm(far) < 0.7 * np.linalg.norm(on_the_gate)
     P_far = _array(update(x, P, [at + 0.5, R, gate, 1.0, *extra])[1])
-    assert P_far == pytest.approx(P, rel=1e-3, abs=1e-3 * np.abs(P).max()), "a wild reading teaches nothing"
+    assert P_far == pytest.approx(P, rel=1e-3, abs=1e-3 * np.abs(P).max()), "an outlier carries no information"
 
 
-def test_the_extended_outline_gives_back_the_coefficients() -> None:
+def test_the_extended_outline_returns_the_coefficients() -> None:
     x = _shape_state(np.random.default_rng(9))
     h, J = (_array(v) for v in derived(extended.outline_function)(_extended_state(x)))
     assert h.ravel() == pytest.approx(x[shape_map.Z.SHAPE :], abs=1e-12)
@@ -216,7 +218,7 @@ def test_the_shape_basis_matches_its_derivatives() -> None:
 
 @pytest.mark.parametrize("rate", [0.0, -0.2, -40.0, -2000.0])
 def test_the_step_is_exact_for_a_stiff_linear_rate(rate: float) -> None:
-    """ẏ = λ y + 1 has a closed solution; Runge–Kutta would explode at λ dt = −16."""
+    """ẏ = λ y + 1 has a closed solution; Runge–Kutta would diverge at λ dt = −16."""
     y, dt = ca.SX.sym("y"), 0.008
 
     def rates(s: ca.SX, t: ca.SX) -> ca.SX:
@@ -246,11 +248,11 @@ def test_the_step_is_of_fourth_order() -> None:
 
     exact = after(2000)
     errors = [np.abs(after(n) - exact).max() for n in (20, 40)]
-    assert errors[0] / errors[1] > 11, "halving the step must cut the error by 16 or more"
+    assert errors[0] / errors[1] > 11, "halving the step must reduce the error about 16-fold"
 
 
-def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> None:
-    """A smoother with another's creeps, and stops short of the likeliest."""
+def test_the_smoothers_step_has_its_own_jacobian_with_stiff_friction() -> None:
+    """With an approximate Jacobian the smoother converges slowly and stops before the optimum."""
     random, C = np.random.default_rng(7), smoothing.C
     p = np.zeros(smoothing.CONSTANTS)
     p[[C.LN_RHO, C.DRAG, C.SATURATION, C.DAMPING]] = np.log(0.013), 20.0, 7500.0, 2e-4
@@ -261,7 +263,7 @@ def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> No
     J = _array(step(x, p, u)[1])
     scale = np.concatenate([[1e-5, 1e-4, 1e-5, 1e-3, 1.0, 1e-8], np.full(smoothing.CONSTANTS - 4, 1e-7)])
     vibration = 2 + C.RIG + smoothing.R.KAPPA
-    scale[vibration : vibration + 4] = 1e-5  # they matter little
+    scale[vibration : vibration + 4] = 1e-5  # small influence
     numeric = np.zeros_like(J)
     for i, h in enumerate(scale):
         ends = []
@@ -273,8 +275,8 @@ def test_the_smoothers_step_has_its_own_jacobian_where_friction_is_stiff() -> No
     assert pytest.approx(numeric, rel=1e-4, abs=1e-8) == J
 
 
-def test_the_gathered_information_is_that_of_the_readings_about_the_beginning() -> None:
-    """Against differences: predicted readings of the moving shape map as functions of its state at the beginning."""
+def test_gathered_information_is_that_of_the_readings_about_the_initial_state() -> None:
+    """Against differences: predicted readings of the moving shape map as functions of its initial state."""
     x0 = _shape_state(np.random.default_rng(3))
     gather, predict = derived(sensitivity.gather_function), derived(shape_map.predict_function)
     dt, steps, w = 0.002, 4, (2.0, 3.0)
@@ -289,12 +291,12 @@ def test_the_gathered_information_is_that_of_the_readings_about_the_beginning() 
         return [dt, *motion(k), 0.0, 0.0, *RIG]
 
     def predicted(x: np.ndarray) -> np.ndarray:
-        told = []
+        readings = []
         for k in range(steps):
             phi1, phi2 = motion(k)[:2]
-            told.append(shape.contact_rows(phi1 - x[shape_map.Z.PSI], phi2)[1] @ x[shape_map.Z.SHAPE :])
+            readings.append(shape.contact_rows(phi1 - x[shape_map.Z.PSI], phi2)[1] @ x[shape_map.Z.SHAPE :])
             x = _array(predict(x, P0, inputs(k))[0]).ravel()
-        return np.concatenate(told)
+        return np.concatenate(readings)
 
     rows = _differences(predicted, x0)
     wanted = rows.T @ np.diag(w * steps) @ rows

@@ -1,4 +1,4 @@
-"""The kernels of the pivoting grasp against the emulated rig's constraint forces, gradients against differences."""
+"""The kernels of the pivoting grasp against the emulated rig's constraint forces, and gradients against differences."""
 
 import math
 
@@ -50,18 +50,19 @@ def inputs_of(grasp, x, z=(0.0, 0.0, 0.0)):
 
 
 STILL, FAST = 0.0, 8.0
-"""Slips over V at which the kink of the model's law is nothing, or little: the emulated rig has none."""
+"""Slips relative to V at which the rounded kink of the model's law has no or little effect; the emulated rig has none.
+"""
 
 
 def along(grasp, psi, omega, ratio):
-    """The arm's motion along the pad by which the body slips so fast."""
+    """Motion of the arm along the pad that makes the body slip at this ratio of V."""
     return 0.02, ratio * grasp.vibration - omega * grasp.height(psi), 0.4
 
 
 @pytest.mark.parametrize(("ratio", "within"), [(STILL, 1e-5), (0.5, 1e-4), (FAST, 1e-3)])
 @pytest.mark.parametrize("psi", [-2.5, -0.7, 0.4])
-def test_a_rigid_gripper_presses_as_the_constraints_say(grasp, psi, ratio, within):
-    """E[f] = N (e + σμz)/(e² − μ²z²): at rest more than without friction, and more than the old law has it."""
+def test_normal_force_of_a_rigid_gripper_agrees_with_the_constraints(grasp, psi, ratio, within):
+    """E[f] = N (e + σμz)/(e² − μ²z²): at rest more than without friction, and more than by the averaged law."""
     p, e = constants_of(grasp), grasp.offset(psi)
     omega = 0.7 * math.copysign(1.0, e)
     az = -0.3 * e
@@ -80,8 +81,8 @@ def test_a_rigid_gripper_presses_as_the_constraints_say(grasp, psi, ratio, withi
         assert grasp.rigid_contact_force(psi, omega, alpha, x, z) == pytest.approx(wanted, rel=1e-12)
 
 
-def test_a_body_wedges_where_the_pivot_is_within_the_cone_of_friction(grasp):
-    """|e| = μz, whichever way it slips: the pad vibrates, so that friction points both ways."""
+def test_a_body_jams_where_the_pivot_is_inside_the_friction_cone(grasp):
+    """|e| = μz for both slip directions, because on a vibrating pad friction acts both ways."""
     angles = np.linspace(-math.pi, math.pi, 720)
     for psi in angles:
         e, z = grasp.offset(psi), (grasp.height(psi), 0.0, 0.0)
@@ -92,7 +93,7 @@ def test_a_body_wedges_where_the_pivot_is_within_the_cone_of_friction(grasp):
 
 @pytest.mark.parametrize(("ratio", "within"), [(STILL, 1e-8), (0.5, 1e-6), (FAST, 1e-5)])
 @pytest.mark.parametrize(("psi", "omega"), [(-2.5, 0.4), (-0.7, -1.2), (0.4, 2.0), (1.9, 0.0)])
-def test_a_slide_moves_as_the_constraints_say(grasp, psi, omega, ratio, within):
+def test_acceleration_on_a_carriage_agrees_with_the_constraints(grasp, psi, omega, ratio, within):
     p, x = constants_of(grasp), along(grasp, psi, omega, ratio)
     alpha, force = grasp.motion(psi, omega, x)
     u = inputs_of(grasp, x)
@@ -102,7 +103,7 @@ def test_a_slide_moves_as_the_constraints_say(grasp, psi, omega, ratio, within):
 
 
 @pytest.mark.parametrize("name", ["reading", "height", "rigid_force", "slide_force", "slide_torque"])
-def test_gradients_are_those_of_differences(grasp, name):
+def test_gradients_agree_with_differences(grasp, name):
     p, motion = constants_of(grasp), np.array([0.4, 0.7, -0.5])
     p[P.ZERO : P.TRANSMISSION] = 1e-3, 2e-3, 3e-3, 1e-4, 1e-3
     u = inputs_of(grasp, (0.02, 0.03, 0.4), (0.02, 0.003, -0.02))
@@ -117,10 +118,10 @@ def test_gradients_are_those_of_differences(grasp, name):
         assert slope == pytest.approx(gradient[i], rel=1e-4, abs=1e-6 * scale), i
 
 
-def test_what_most_bodies_are_like_has_the_gradient_of_differences(grasp):
+def test_the_priors_gradient_agrees_with_differences(grasp):
     p = constants_of(grasp)
     off, J = body_prior_residuals(p)
-    assert np.abs(off).max() < 1.0  # a uniform body is likely
+    assert np.abs(off).max() < 1.0  # a uniform body is probable
     for i in (P.INERTIA, P.MOMENT, P.MOMENT + 1, P.MASS, P.SHAPE, P.SHAPE + 1, P.SHAPE + 2):
         step = np.zeros(CONSTANTS)
         step[i] = 1e-6 * abs(p[i])

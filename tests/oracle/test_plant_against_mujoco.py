@@ -1,7 +1,7 @@
-"""The emulated body with flat sides against another engine: where it rests, what the palms carry, when it slips.
+"""The emulated body with flat sides against MuJoCo: resting pose, contact forces, onset of slip.
 
-MuJoCo's contacts are soft and its friction creeps; the plant's are rigid, and what sticks does not move. So they are
-compared where both must agree: at rest, and over ways far longer than what is soft.
+MuJoCo's contacts are soft and its friction creeps; the plant's contacts are rigid, and sticking bodies stand still.
+They are compared where both must agree: at rest, and over distances much longer than the soft contacts' depth.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ GRAVITY, MASS, RADIUS, STEP_S, ENGINE_STEP_S = 9.81, 0.1, 5e-4, 5e-4, 1e-4
 FIXED = Hinge("fixed", 0.12, (0.0, 0.0))
 DIE, BLOCK = (16e-3, 16e-3), (10e-3, 30e-3)
 DAMPING, MU = 1e-2, 0.2
-RINGING = 1000  # steps, over which soft contacts' forces are averaged
+RINGING = 1000  # steps over which forces of the soft contacts are averaged
 
 
 class Pose(NamedTuple):
-    """Of the centre of mass (m) and the body (rad), with the normal forces of both palms (N)."""
+    """Pose of the centre of mass (m) and the body (rad), with the normal forces of both palms (N)."""
 
     x: float
     y: float
@@ -95,7 +95,7 @@ def by_engine(size, palms, start, seconds, mu=0.0, damping=0.0):
     ("size", "palms", "psi"),
     [(DIE, (0.7, 1.4), 0.2), (DIE, (0.9, 1.3), 1.0), (BLOCK, (0.7, 1.4), 1.0), (BLOCK, (0.9, 1.3), 1.3)],
 )
-def test_a_rectangle_tips_onto_the_same_side_and_presses_as_hard(size, palms, psi):
+def test_a_rectangle_tips_onto_the_same_side_with_the_same_forces(size, palms, psi):
     plant = placed(size, palms, psi, FrictionSurface(damping=DAMPING))
     there = by_engine(size, palms, pose_of(plant), 1.0, damping=DAMPING)
     here = left_alone(plant, palms, 1.0)
@@ -105,7 +105,7 @@ def test_a_rectangle_tips_onto_the_same_side_and_presses_as_hard(size, palms, ps
 
 
 @pytest.mark.parametrize("below_deg", [-3.0, 3.0, 6.0])
-def test_a_die_slips_down_a_palm_that_is_steeper_than_its_friction(below_deg):
+def test_a_die_slips_down_a_palm_steeper_than_its_friction_angle(below_deg):
     palms, seconds = (-math.atan(MU) - math.radians(below_deg), 2.0), 0.12
     plant = placed(DIE, palms, palms[0], FrictionSurface(MU), law="coulomb")
     begin = pose_of(plant)

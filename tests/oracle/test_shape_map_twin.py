@@ -1,4 +1,4 @@
-"""The generated C of the shape map's filter against its NumPy twin: prediction and fusion of a reading."""
+"""The generated C of the shape map's filter against its NumPy version: prediction and fusion of a reading."""
 
 import math
 
@@ -12,13 +12,13 @@ from palmd.model.kernels import single
 from palmd.system.mechanism import PALMS as NUMBERS
 
 SAME_FORMULA = 1e-9
-"""Relative: the generated C and NumPy compute the same expressions, in another order."""
+"""Relative: the generated C and NumPy evaluate the same expressions in different order."""
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = [3.0, -4.0]
 VIBRATION = [0.3, 0.8, 0.0, 2e-3, 0.1, -0.05, 0.1, 0.02]
 IN_PHASE = [-1.0, 1.0, 0.0, 2e-3, *[0.0] * 4]
 AVERAGED = [0.0, 1.0, 1.0, 0.0, *[0.0] * 4]
-"""κ, λ, whether the old law of friction holds, half a period (s); by how much κ, λ, that and friction's arm are off."""
+"""κ, λ, whether the averaged law holds, half a period (s); errors of κ, λ, that flag and friction's arm."""
 RIG = [9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0, *VIBRATION]
 
 
@@ -40,7 +40,7 @@ def a_state(random, mu):
 
 @pytest.mark.parametrize(("mu", "law"), [(0.0, VIBRATION), (0.3, VIBRATION), (0.3, IN_PHASE), (0.3, AVERAGED)])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_c_predicts_as_the_numpy_twin(kernels, seed, mu, law):
+def test_c_and_numpy_predict_the_same_state(kernels, seed, mu, law):
     random = np.random.default_rng(seed)
     n = shape_map.N
     x = a_state(random, mu)
@@ -53,14 +53,14 @@ def test_the_c_predicts_as_the_numpy_twin(kernels, seed, mu, law):
     Q[:2] = np.array([shape_map.Q_PSI, shape_map.Q_OMEGA0]) * u[0]
     Q[1] += plain_shape_map.left_open(x, u)
     P_np = F @ P @ F.T + np.diag(Q)
-    assert abs(x_np[1] - x[1]) > 1e-3, "the spin must change for this to say anything"
+    assert abs(x_np[1] - x[1]) > 1e-3, "the spin must change for a meaningful comparison"
     assert x_c == pytest.approx(x_np, rel=SAME_FORMULA, abs=SAME_FORMULA * abs(x_np).max())
     assert np.abs(P_c - P_np).max() < SAME_FORMULA * np.abs(P_np).max()
 
 
 @pytest.mark.parametrize("pad", [1, 2])
-def test_the_c_sees_what_the_numpy_twin_sees(kernels, pad):
-    """A reading of exactly what is foreseen has no innovation; one that is off moves the state along P hᵀ."""
+def test_c_and_numpy_agree_on_fusion_of_a_reading(kernels, pad):
+    """A reading equal to its prediction has zero innovation; another one moves the state along P hᵀ."""
     x, n = a_state(np.random.default_rng(5), 0.1), shape_map.N
     s, row = plain_shape_map.reading_row(x, *PALMS[:2], pad)
     x_c, P_c, score = np.zeros(n), np.zeros((n, n)), np.zeros(2)

@@ -1,4 +1,4 @@
-"""The smoother's kernels: Jacobians against differences, values against a plain NumPy twin of the dynamics."""
+"""The smoother's kernels: Jacobians against differences, values against a plain NumPy version of the dynamics."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ LENGTHS = (0.0555, 0.048)  # of the pads
 FORCE = 0.8  # N
 FLAT = [0.0, 0.0]
 HALF_PERIOD, BRIEF = 2e-3, 2e-4  # s, of a vibration; of one so fast that slips hardly alternate
-INDEPENDENT = [0.0, 1.0, 0.0, HALF_PERIOD, *[0.0] * 4]  # κ, λ, not the old law, 1/(2f); by how much these are off
+INDEPENDENT = [0.0, 1.0, 0.0, HALF_PERIOD, *[0.0] * 4]  # κ, λ, not the averaged law, 1/(2f); errors of these
 RIG = [9.81, 0.12, 0.12, 0.0, 0.0, *FLAT, *INDEPENDENT, *LENGTHS]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
-SLOWLY = 0.25  # of that motion: both contacts slip more slowly than the palms vibrate
+SLOWLY = 0.25  # scale of that motion at which both contacts slip more slowly than the palms vibrate
 DT = 0.005
 NODES = np.array([[0.2, 1.3], [0.2066, 1.34]])
 
@@ -72,7 +72,7 @@ RIG_SD = np.append(
 SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], RIG_SD, np.full(2 * ORDER + 1, 1e-3)])
 
 
-def test_the_twin_knows_the_same_constants() -> None:
+def test_both_versions_have_the_same_constants() -> None:
     C = smoothing.C
     assert tuple(C) == (LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, bodies.RIG, SHAPE)
     assert (smoothing.CONSTANTS, smoothing.ORDER) == (CONSTANTS, ORDER)
@@ -80,7 +80,7 @@ def test_the_twin_knows_the_same_constants() -> None:
 
 @pytest.mark.parametrize(("mu", "relative"), [(0.0, 1e-5), (0.15, 2e-3)])
 def test_jacobian_of_the_step(mu: float, relative: float) -> None:
-    """With friction the step's own rate changes with the state, which its Jacobian leaves out."""
+    """With friction the step's own rate depends on the state, which its Jacobian omits."""
     scale = np.concatenate([[0.1, 1.0], SCALE])
     y = np.concatenate([[0.2, 0.3], _constants(mu=mu)])
     function = derived(smoothing.step_function)
@@ -112,7 +112,7 @@ def test_gradient_of_a_reading(name: str, pad: int) -> None:
 def _error_of_step(
     mu: float, dither: float, omega0: float, dt: float = DT, pace: float = 1.0, half_period: float = HALF_PERIOD
 ) -> tuple[float, float, float]:
-    """(error of ψ, error of ω0, change of ω0) in one step, against five hundred Runge–Kutta steps of the twin."""
+    """(error of ψ, error of ω0, change of ω0) in one step, against 500 Runge–Kutta steps of the NumPy version."""
     p = _constants(1, mu, dither)
     bodies, n = Bodies(p[:, None], RIG[0], RIG[1], half_period=half_period), 500
     psi, spin = np.array([0.2]), np.array([omega0])
@@ -134,9 +134,9 @@ def _error_of_step(
 def test_the_step_integrates_the_motion(
     mu: float, dither: float, omega0: float, half_period: float, pace: float, angle: float, rate: float
 ) -> None:
-    """To less than the process noise of such a step, 7e-6 rad and 2e-4 rad/s, where ω0 relaxes at some 500 /s.
+    """Error below the process noise of such a step, 7e-6 rad and 2e-4 rad/s, where ω0 relaxes at about 500 /s.
 
-    As long as slips stay below the vibration's speed in their reversals too.
+    Also during reversals, as long as slips stay below the vibration's speed.
     """
     of_angle, of_rate, change = _error_of_step(mu, dither, omega0, DT, pace, half_period)
     assert abs(change) > 0.05
@@ -144,16 +144,17 @@ def test_the_step_integrates_the_motion(
     assert abs(of_rate) < rate
 
 
-def test_sudden_braking_is_followed_to_high_order() -> None:
+def test_sudden_braking_is_integrated_to_high_order() -> None:
     long, short = (abs(_error_of_step(0.15, 0.012, 0.3, dt, half_period=BRIEF)[1]) for dt in (DT, DT / 2))
     assert short < long / 12
 
 
 @pytest.mark.nightly
-def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_order() -> None:
-    """Strong friction on the slowest vibration: slips of 0.3 V alternate by another 0.7 V.
+def test_slips_alternating_beyond_the_vibrations_speed_are_integrated_to_second_order() -> None:
+    """Strong friction with the slowest vibration: slips of 0.3 V alternate by another 0.7 V.
 
-    With the strongest they alternate by all of V, and contacts come to stick within the step, which is coarser there.
+    With the strongest friction they alternate by all of V, and contacts stick within the step, which is less exact
+    there.
     """
     angle, long, change = _error_of_step(0.2, 0.008, 0.1, DT, SLOWLY)
     _, short, _ = _error_of_step(0.2, 0.008, 0.1, DT / 2, SLOWLY)
@@ -165,10 +166,10 @@ def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_o
     assert finer < sticking / 2
 
 
-def test_the_stiffest_braking_never_explodes() -> None:
-    """Stages of a step as long as a search's jump over all of the vibration's speeds: it brakes too little, not more.
+def test_the_strongest_braking_stays_stable() -> None:
+    """A step as long as a search's, across all of the vibration's speeds, brakes too little rather than too much.
 
-    From four times the vibration's speed a contact really stops within 7 ms.
+    From four times the vibration's speed a contact stops within 7 ms.
     """
     _, error, change = _error_of_step(0.25, 0.008, 1.3)
     assert abs(error) < 0.6 * abs(change)
@@ -183,8 +184,8 @@ def test_the_stiffest_braking_never_explodes() -> None:
     assert size[10:].max() < 0.02
 
 
-def test_braking_from_slips_faster_than_the_vibration_is_followed_to_second_order() -> None:
-    """Friction's slope jumps where a slip passes the vibration's speed, here from three times it to nearly none."""
+def test_braking_from_slips_faster_than_the_vibration_is_integrated_to_second_order() -> None:
+    """Friction's slope jumps where a slip crosses the vibration's speed, here from three times it to nearly none."""
     (_, long, change), (_, short, _) = (_error_of_step(0.15, 0.012, 1.3, dt) for dt in (DT, DT / 2))
     assert abs(long) < 0.05 * abs(change)
     assert abs(short) < abs(long) / 4
@@ -192,7 +193,7 @@ def test_braking_from_slips_faster_than_the_vibration_is_followed_to_second_orde
 
 @pytest.mark.parametrize("pad", [1, 2])
 @pytest.mark.parametrize("t", [0.0, 0.0013, DT])
-def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: int) -> None:
+def test_a_reading_is_predicted_on_the_cubic_between_the_nodes(t: float, pad: int) -> None:
     p = _constants(2)
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
@@ -208,7 +209,7 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
 def test_forces_depend_on_the_relation_and_the_transmission_of_vibrations(
     kappa: float, transmission: float, pad: int
 ) -> None:
-    """Half of each is described, the other half a constant that is estimated."""
+    """Half of each is described, the other half is an estimated constant."""
     p, rig = _constants(2), RIG.copy()
     rig[7:9] = kappa / 2, transmission / 2
     p[[bodies.KAPPA, bodies.TRANSMISSION]] = kappa / 2, transmission / 2
@@ -227,8 +228,8 @@ def test_forces_depend_on_the_relation_and_the_transmission_of_vibrations(
 
 
 @pytest.mark.parametrize("pad", [1, 2])
-def test_friction_alone_feels_that_its_arm_is_longer(pad: int) -> None:
-    psi, omega0, felt = np.array([0.2]), np.array([0.3]), []
+def test_a_longer_friction_arm_affects_friction_only(pad: int) -> None:
+    psi, omega0, change = np.array([0.2]), np.array([0.3]), []
     for mu in (0.0, 0.15):
         forces = []
         for arm in (0.0, 0.1):
@@ -240,14 +241,14 @@ def test_friction_alone_feels_that_its_arm_is_longer(pad: int) -> None:
             wanted = 0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item()
             assert force.item() == pytest.approx(wanted, rel=1e-9)
             forces.append(force.item())
-        felt.append(abs(forces[1] - forces[0]))
-    assert felt[0] == 0.0
-    assert felt[1] > 1e-3
+        change.append(abs(forces[1] - forces[0]))
+    assert change[0] == 0.0
+    assert change[1] > 1e-3
 
 
 def _surface(palm: int, phi: float, s: float, above: float, sagitta: float) -> tuple[np.ndarray, float]:
-    """Where a palm's bowed surface is at `s` along it, and the world direction of its tangent there."""
-    sign = 3 - 2 * palm  # the object is to the left of palm 1 and to the right of palm 2
+    """Position of a palm's bowed surface at `s` along it, and the world direction of its tangent there."""
+    sign = 3 - 2 * palm  # the object is left of palm 1 and right of palm 2
     along = np.array([np.cos(phi), np.sin(phi)])
     left = np.array([-along[1], along[0]])
     length = LENGTHS[palm - 1]
@@ -257,7 +258,7 @@ def _surface(palm: int, phi: float, s: float, above: float, sagitta: float) -> t
 
 
 def _touch(p: np.ndarray, phi: tuple[float, float], psi: float) -> np.ndarray:
-    """s1, s2 where the body lies on both surfaces, from the points of body and surface that must coincide."""
+    """s1, s2 where the body lies on both surfaces, from coinciding points of body and surface."""
     rig, twin = p[bodies.RIG : SHAPE], Bodies(p[:, None])
 
     def miss(y: np.ndarray) -> np.ndarray:
@@ -278,7 +279,7 @@ def _touch(p: np.ndarray, phi: tuple[float, float], psi: float) -> np.ndarray:
 
 @pytest.mark.parametrize("pad", [1, 2])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -> None:
+def test_a_reading_on_an_imperfect_rig_agrees_with_the_geometry(pad: int, seed: int) -> None:
     p = _constants(2)
     p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(len(RIG_SD))
     zero, scale, _, lag, by_force = p[bodies.RIG + np.array([0, 2, 4, 6, 13]) + pad - 1]
@@ -293,7 +294,7 @@ def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -
     )
 
 
-def test_batches_serve_what_the_single_kernels_give() -> None:
+def test_batched_kernels_give_the_results_of_single_ones() -> None:
     library, random = smoothing.library(), np.random.default_rng(0)
     p, rows = _constants(), 24
     a, u = np.zeros((rows, 2)), np.tile([DT, *PALMS, *JERK, *RIG], (rows, 1))

@@ -1,4 +1,4 @@
-"""Stable poses between arcs against the emulated plant, which knows no tangents, and against plain differences."""
+"""Stable poses between arcs against the emulated plant, which does not use tangents, and against plain differences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from palmd.rig.shapes import Body, random_body
 from palmd.system.arcs import joints_of, tangents
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0)]
-SCAN = 360  # values of ψ among which changes of sign are looked for
+SCAN = 360  # values of ψ searched for changes of sign
 _HALVINGS, _SAME_M = 26, 1e-7  # to 1e-10 rad
 TOUCHES = [(0.5, 1.7), (0.9, 1.5)]  # rad: β1 and the tangents' opening for a circle
 
@@ -40,7 +40,7 @@ def stable_poses_on_arcs(
 ) -> np.ndarray:
     """All stable ψ of one palm pose (rad), ascending in [0, 2π): where d1 sin β2 + d2 sin β1 rises through zero.
 
-    For outlines with κv below `MOST_LYING`; where the palms would touch an object from below or behind the hinge, none.
+    For outlines with κv below `MOST_LYING`; none where the palms would touch an object from below or behind the hinge.
     """
 
     def balance(psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ def stable_poses_on_arcs(
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_the_same_poses_as_the_plant_finds(curvatures: tuple[float, float]) -> None:
+def test_stable_poses_are_those_of_the_plant(curvatures: tuple[float, float]) -> None:
     for seed, touching in enumerate(TOUCHES):
         body = _body(seed, curvatures)
         palms = joints_of(body.support.at(0.0)[0], touching, curvatures)
@@ -76,7 +76,7 @@ def test_the_same_poses_as_the_plant_finds(curvatures: tuple[float, float]) -> N
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_what_is_stable_rises_when_the_object_is_turned_at_standing_palms(curvatures: tuple[float, float]) -> None:
+def test_the_centre_of_mass_rises_around_a_stable_pose(curvatures: tuple[float, float]) -> None:
     outline, step = _outline(_body(5, curvatures)), 1e-5
     beta1, opening = np.meshgrid(np.linspace(0.3, 1.4, 12), np.linspace(1.2, 1.7, 12))
     beta1, opening = beta1.ravel(), opening.ravel()
@@ -94,7 +94,7 @@ def test_what_is_stable_rises_when_the_object_is_turned_at_standing_palms(curvat
             first, between = tangents((phi1, phi2), s, curvatures)
             at = touch(outline, first, between, angle)
             slopes.append(at.d1 * np.sin(first + between) + at.d2 * np.sin(first))
-        assert slopes[1] == pytest.approx(np.zeros(len(psi)), abs=1e-10), "in balance where the tangents say so"
+        assert slopes[1] == pytest.approx(np.zeros(len(psi)), abs=1e-10), "balance agrees with the tangents"
         assert s == pytest.approx(np.stack([laid.s1, laid.s2])[:, there], abs=1e-6)
         clear = np.abs(slopes[2] - slopes[0]) > 2e-9
         assert ((slopes[2] > slopes[0]) == laid.stable[there])[clear].all()
@@ -132,7 +132,7 @@ def test_the_surface_has_the_plants_poses_and_no_others(curvatures: tuple[float,
     assert not missing
 
 
-def test_an_object_too_round_for_the_palms_lies_in_them_and_is_stable_nowhere() -> None:
+def test_an_object_too_round_for_the_palms_has_no_stable_pose() -> None:
     circle = np.zeros(15)
     circle[:2] = 0.02, 1e-3
     contacts = touch(circle, np.array([0.7]), np.array([1.7]), np.array([0.3]))

@@ -26,8 +26,8 @@ from tools.studies.paper_poses import (
 )
 
 LIMITS = SurfaceLimits()
-CLOSING = ((0.4, 2.0), (0.9, 1.2))  # rad, a way of the palms on which minima vanish
-PLANT_PSI = 1e-7  # rad: what the plant's table of h′ leaves of its own accuracy
+CLOSING = ((0.4, 2.0), (0.9, 1.2))  # rad, a path of the palms on which minima vanish
+PLANT_PSI = 1e-7  # rad: accuracy of the plant's table of h′
 
 
 def body(seed: int, kind: str = "nominal") -> Body:
@@ -52,7 +52,7 @@ def plain_height(body: Body, phi1: float, phi2: float, psi: np.ndarray) -> np.nd
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_same_poses_as_the_plant_finds(kind):
+def test_stable_poses_are_those_of_the_plant(kind):
     rng = np.random.default_rng(1)
     for seed in range(6):
         one = body(seed, kind)
@@ -63,7 +63,7 @@ def test_the_same_poses_as_the_plant_finds(kind):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_let_go_with_damping_the_plant_rests_at_the_minimum_of_its_basin(seed):
+def test_a_damped_plant_comes_to_rest_at_the_minimum_of_its_basin(seed):
     rng = np.random.default_rng(seed)
     one = body(seed)
     phi1, phi2 = 0.7, 1.5
@@ -79,7 +79,7 @@ def test_let_go_with_damping_the_plant_rests_at_the_minimum_of_its_basin(seed):
 
 
 @pytest.mark.parametrize("seed", [0, 6, 9])
-def test_a_jump_ends_where_the_plant_falls(seed):
+def test_a_jump_ends_where_the_plant_comes_to_rest(seed):
     one = body(seed)
     coefficients = outline(one)
     start = stable_poses(coefficients, *CLOSING[0])
@@ -99,13 +99,13 @@ def test_a_jump_ends_where_the_plant_falls(seed):
 
 
 def closing(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """φ1 and φ2 on the way of `CLOSING`."""
+    """φ1 and φ2 on the path of `CLOSING`."""
     share = np.linspace(0, 1, count)
     return tuple(a + (b - a) * share for a, b in zip(*CLOSING, strict=True))
 
 
 def slow_plant(body: Body) -> plant.Plant:
-    """So strongly damped that it does not swing past a maximum."""
+    """A plant so strongly damped that it does not swing past a maximum."""
     surface = plant.FrictionSurface(damping=30 * body.rho**2)
     return plant.Plant(body, plant.Hinge("fixed", base=(0.0, 0.0)), surface)
 
@@ -118,12 +118,12 @@ def test_a_jump_is_marked_in_the_step_where_the_minimum_vanishes():
     assert found.jumped.any()
     assert moved[found.jumped[1:]].min() > 0.1
     for step, column in np.argwhere(found.jumped):
-        # the minimum that held it has no neighbour any more within what a step can move it
+        # the vanished minimum has no neighbour within the range of one step
         before, after = found.psi[step - 1, column], stable_poses(coefficients, path1[step], path2[step])
         assert np.abs(nearest_turn(after, before) - before).min() > 0.05
 
 
-def test_slope_and_curvature_are_differences_of_the_height():
+def test_slope_and_curvature_agree_with_differences_of_the_height():
     rng = np.random.default_rng(3)
     one = body(7)
     for _ in range(20):
@@ -136,7 +136,7 @@ def test_slope_and_curvature_are_differences_of_the_height():
 
 
 def test_the_printed_equations_hold():
-    """(3.17), (3.18), (3.21), (3.23), (3.24) as printed, at poses that do not balance."""
+    """(3.17), (3.18), (3.21), (3.23), (3.24) as printed, at poses out of balance."""
     rng = np.random.default_rng(4)
     for _ in range(20):
         coefficients = outline(body(int(rng.integers(100))))
@@ -150,7 +150,7 @@ def test_the_printed_equations_hold():
         theta1 = normal_directions((phi1, phi2), psi)[0]
         n, t = np.array([np.cos(theta1), np.sin(theta1)]), np.array([np.sin(theta1), -np.cos(theta1)])
         x1 = at.r1 * n + at.d1 * t
-        r2, d2 = -at.s1 * np.sin(phi2), at.s1 * np.cos(phi2) - at.s2  # generalized, (3.6)
+        r2, d2 = -at.s1 * np.sin(phi2), at.s1 * np.cos(phi2) - at.s2  # generalised (3.6)
         balance = -d2 * np.sin(phi1) / np.sin(phi2) - np.array([np.cos(psi), -np.sin(psi)]) @ x1
         bend = (at.v1 * np.sin(phi1 + phi2) + (at.v2 + r2) * np.sin(phi1)) / np.sin(phi2)
         assert balance == pytest.approx(here.slope, abs=1e-14)
@@ -158,8 +158,8 @@ def test_the_printed_equations_hold():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_next_to_a_fold_no_pose_is_missed(seed):
-    """Where two extrema are nearer to each other than the scan's points, the count still changes by one."""
+def test_no_pose_is_missed_next_to_a_fold(seed):
+    """Where two extrema are closer than the scan's points, the count still changes by one."""
     one = body(seed)
     coefficients = outline(one)
     folds = inside_boundary(coefficients, LIMITS, np.linspace(0.8, 2.5, 7))
@@ -178,7 +178,7 @@ def test_next_to_a_fold_no_pose_is_missed(seed):
         assert abs(counts[1] - counts[0]) == 1
 
 
-def test_every_slope_is_nothing_and_minima_and_maxima_take_turns():
+def test_slopes_vanish_and_minima_and_maxima_alternate():
     rng = np.random.default_rng(5)
     coefficients = outline(body(11))
     phi = np.array([palms(rng) for _ in range(200)])
@@ -204,13 +204,13 @@ def surfaces() -> list[tuple[np.ndarray, Surface]]:
 
 
 def parts(surface: Surface, links: np.ndarray) -> np.ndarray:
-    """The part of the surface that each point belongs to, joined by these links."""
+    """Component of the surface that each point belongs to, joined by these links."""
     count = len(surface.psi)
     graph = coo_array((np.ones(len(links)), tuple(links.T)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
-def test_the_surface_shows_the_whole_outline_of_nearly_every_shape(surfaces):
+def test_the_surface_reaches_the_whole_outline_of_nearly_every_shape(surfaces):
     assert len(surfaces) == 30
     assert sum(surface.reach.all() for _, surface in surfaces) >= 27
 
@@ -229,8 +229,8 @@ def test_points_are_allowed_stable_poses(surfaces):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", [2, 5, 8])
-def test_links_driven_in_small_steps_join_the_same_parts(surfaces, number):
-    """A link is judged by its two ends; nearly all are right, and no wrong one joins what is apart."""
+def test_links_followed_in_small_steps_join_the_same_components(surfaces, number):
+    """A link is judged by its two ends; nearly all are correct, and no wrong one joins separate components."""
     coefficients, surface = surfaces[number]
     a, b = surface.links.T
     at, now = basins(coefficients, surface.phi1[a], surface.phi2[a]), surface.psi[a, None]
@@ -248,7 +248,7 @@ def test_links_driven_in_small_steps_join_the_same_parts(surfaces, number):
     assert len(pairs) == driven.max() + 1 == joined.max() + 1
 
 
-def test_a_narrow_neck_is_not_torn_by_the_grid():
+def test_a_narrow_neck_is_not_cut_by_the_grid():
     rng = np.random.default_rng(1)
     coefficients = [outline(random_body("nominal", rng)) for _ in range(7)][-1]
     for counts in ((60, 50), (120, 100)):
@@ -257,7 +257,7 @@ def test_a_narrow_neck_is_not_torn_by_the_grid():
 
 
 def test_poses_from_the_closed_form_lie_on_the_surface(surfaces):
-    """θ1 and φ2 alone say where the object balances: λ = −d1/d2 = sin φ1 / sin φ12."""
+    """θ1 and φ2 alone determine the balance: λ = −d1/d2 = sin φ1 / sin φ12."""
     rng = np.random.default_rng(7)
     seen = 0
     for coefficients, surface in surfaces[:5]:
@@ -281,8 +281,8 @@ def test_poses_from_the_closed_form_lie_on_the_surface(surfaces):
     assert seen > 150
 
 
-def test_reach_is_what_the_normals_of_the_component_sweep():
-    """A round object with its weight aside: θ1 = φ1 + const, so the palms' limits say what is touched."""
+def test_reach_equals_the_normals_that_the_component_sweeps():
+    """A round object with an offset centre of mass: θ1 = φ1 + const, so the palms' limits determine the reach."""
     coefficients = np.array([0.02, 0.002, 0.0])
     limits = SurfaceLimits(phi1=(0.5, 0.9), phi2=(1.5, 1.9))
     surface = stable_surface(coefficients, limits, phi1_count=9, phi2_count=9, bins=360)
@@ -294,7 +294,7 @@ def test_reach_is_what_the_normals_of_the_component_sweep():
     assert len(inside_boundary(coefficients, limits, np.linspace(1.5, 1.9, 9))) == 0
 
 
-def test_what_cannot_be_is_refused():
+def test_impossible_arguments_are_rejected():
     coefficients = outline(body(0))
     for phi1, phi2 in ((-0.1, 1.0), (1.0, 0.0), (1.5, 1.7), (math.nan, 1.0)):
         with pytest.raises(ValueError, match="palms hold an object only"):

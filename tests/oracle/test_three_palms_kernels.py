@@ -1,4 +1,4 @@
-"""The kernels of three palms against the emulated rig's constraint forces, which were written apart from them."""
+"""The kernels of three palms against the emulated rig's constraint forces, which are an independent implementation."""
 
 import math
 
@@ -26,12 +26,12 @@ DAMPING, MU, DITHER = 2e-4, 0.15, 0.011
 PHASES = np.random.default_rng(0).uniform(0.0, 2.0 * math.pi, (1, 3)) + 2.0 * math.pi * np.outer(
     np.arange(4099), (0.8191725134, 0.6710436067, 0.5497004779)
 )
-"""Of the palms' vibrations: many, spread evenly over all combinations."""
+"""Vibration phases, evenly distributed over all combinations."""
 
 
 @pytest.fixture(scope="module")
 def parameters():
-    """A smooth body: a ball and a mild ellipsoid, off its middle, which few harmonics hold."""
+    """A smooth body, a ball with a mild ellipsoid off its middle, that few harmonics represent."""
     form = np.diag([0.009, 0.0095, 0.0105]) ** 2
     body = Bodies(
         np.array([0.009]), np.array([[form]]), np.array([[[1e-9, 0, 0], [-1e-9, 0, 0], [0, 1e-9, 0], [0, -1e-9, 0],
@@ -45,7 +45,7 @@ def parameters():
 
 @pytest.fixture(scope="module")
 def moment():
-    """The palms and a body's rotation and spin at some instants."""
+    """Palms, rotation and spin of a body at some instants."""
     random = np.random.default_rng(5)
     T = 6
     angle = np.array([0.9, 0.8, 0.8]) + random.uniform(-0.3, 0.3, (T, 3))
@@ -55,9 +55,9 @@ def moment():
     return palms, R, random.normal(0, 2.0, (T, 3))
 
 
-# The model is exact to order μ²: what is left falls as μ³, down to what the kink of the directions leaves.
+# The model is exact to order μ²; the error falls as μ³ down to that of the directions' rounded kink.
 @pytest.mark.parametrize(("mu", "within"), [(0.2, 0.02), (0.05, 3e-3)])
-def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment, mu, within):
+def test_accelerations_and_forces_are_those_of_free_bodies_with_constraints(parameters, moment, mu, within):
     p, body = parameters
     p = p.copy()
     p[-2:] = mu, math.log(0.4)  # some slips are slower than that, some faster
@@ -80,7 +80,7 @@ def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(p
     for pad in range(3):
         geometry = reading_geometry(palms, np.full(T, pad))
         y = kernels.reading(ORDER)((by_columns(R), geometry), (p[: count(ORDER)],))[0]
-        np.testing.assert_allclose(y, read[:, pad], atol=5e-8)  # what degrees above 8 have of the ellipsoid
+        np.testing.assert_allclose(y, read[:, pad], atol=5e-8)  # degrees above 8 of the ellipsoid
 
 
 def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
@@ -106,13 +106,13 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     ahead, behind = (
         smoother.evaluate(motion.moved(sign * small * nodes, sign * small * step)).cost for sign in (1, -1)
     )
-    told = 2 * ((arrow.nodes_gradient * nodes).sum() + arrow.gradient @ step)
-    # what the strength of the noise owes to the spin is left out of the gradient, and commutators of large turns
-    assert (ahead - behind) / (2 * small) == pytest.approx(told, rel=2e-2)
+    predicted = 2 * ((arrow.nodes_gradient * nodes).sum() + arrow.gradient @ step)
+    # the gradient omits the noise strength's dependence on the spin, and commutators of large rotations
+    assert (ahead - behind) / (2 * small) == pytest.approx(predicted, rel=2e-2)
 
 
 def random_arrow(seed, K, m, q):
-    """K nodes in a row, each pair bound by q residuals r with Jacobians left, right and, in m parameters, by."""
+    """K nodes in a row, each pair linked by q residuals r with Jacobians left, right and, in m parameters, by."""
     random = np.random.default_rng(seed)
     arrow = Arrow.empty(K, m)
     left, right = random.normal(size=(2, K - 1, q, STATES))
@@ -122,7 +122,7 @@ def random_arrow(seed, K, m, q):
     return arrow, left, right, by, r
 
 
-def test_the_arrow_is_solved_as_a_dense_matrix_is():
+def test_the_arrow_solver_agrees_with_a_dense_solve():
     K, m, q = 4, 3, 8
     arrow, left, right, by, r = random_arrow(0, K, m, q)
     arrow.corner += np.eye(m)
@@ -139,14 +139,14 @@ def test_the_arrow_is_solved_as_a_dense_matrix_is():
     np.testing.assert_allclose(np.linalg.inv(arrow.information()), np.linalg.inv(whole)[-m:, -m:], rtol=1e-8)
 
 
-def test_what_is_left_in_the_last_node_is_the_dense_marginal():
+def test_the_information_left_in_the_last_node_is_the_dense_marginal():
     m = 3
     arrow, *_ = random_arrow(1, 5, m, 9)
     arrow.add_prior(2.0 * np.eye(STATES + m), np.ones(STATES + m))
     nodes, step = arrow.solve(0.0)
     information, gradient = arrow.marginal_of_last_node()
-    told = -np.linalg.solve(information, gradient)
-    np.testing.assert_allclose(told, np.concatenate([nodes[-1], step]), rtol=1e-9)
+    predicted = -np.linalg.solve(information, gradient)
+    np.testing.assert_allclose(predicted, np.concatenate([nodes[-1], step]), rtol=1e-9)
     np.testing.assert_allclose(
         np.linalg.inv(information)[STATES:, STATES:], np.linalg.inv(arrow.information()), rtol=1e-8
     )

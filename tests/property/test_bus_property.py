@@ -1,4 +1,4 @@
-"""The command socket fed with anything at all."""
+"""The command socket accepts arbitrary bytes."""
 
 import time
 
@@ -41,7 +41,7 @@ def parsed(payload: bytes) -> Request | CommandError:
 
 
 @given(payloads)
-def test_parse_gives_a_valid_request_or_the_one_declared_error(payload):
+def test_parse_returns_a_valid_request_or_raises_its_declared_error(payload):
     outcome = parsed(payload)
     if isinstance(outcome, CommandError):
         assert str(outcome)
@@ -66,7 +66,7 @@ def bus(tmp_path_factory):
 
 @settings(max_examples=200, deadline=None)
 @given(frames=st.lists(payloads, min_size=1, max_size=4))
-def test_every_message_is_taken_as_a_request_or_answered_with_an_error(bus, frames):
+def test_every_message_becomes_a_request_or_is_answered_with_an_error(bus, frames):
     bus, client = bus
     client.send_multipart(frames)
     before, t_end = bus.counters.commands, time.monotonic() + 5.0

@@ -1,4 +1,4 @@
-"""Codecs round trip, every split of the bytes gives the same, and garbage is counted and nothing else."""
+"""Codecs round trip, results do not depend on how bytes are split, and garbage is counted."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_pad_packets_round_trip(
 
 
 @given(streams, st.data())
-def test_every_byte_of_a_pad_is_accounted_for_and_no_split_matters(stream: bytes, data: st.DataObject) -> None:
+def test_every_byte_of_a_pad_is_counted_for_any_split(stream: bytes, data: st.DataObject) -> None:
     whole, split = VersaPadDecoder(BAUD), VersaPadDecoder(BAUD)
     expected = [content(packet) for packet in whole.feed(stream, 0.0)]
     got = []
@@ -102,7 +102,7 @@ def test_every_byte_of_a_pad_is_accounted_for_and_no_split_matters(stream: bytes
 
 
 @given(streams, st.data())
-def test_pad_times_never_run_backwards_nor_lie_in_the_future(stream: bytes, data: st.DataObject) -> None:
+def test_pad_times_never_decrease_nor_lie_in_the_future(stream: bytes, data: st.DataObject) -> None:
     decoder, t, times = VersaPadDecoder(BAUD), 0.0, []
     for piece in data.draw(cut(stream)):
         t += data.draw(gaps)
@@ -115,7 +115,7 @@ def test_pad_times_never_run_backwards_nor_lie_in_the_future(stream: bytes, data
 
 
 @given(st.binary(max_size=30), packets)
-def test_one_good_packet_is_found_after_any_garbage(noise: bytes, good: bytes) -> None:
+def test_a_good_packet_is_found_after_any_garbage(noise: bytes, good: bytes) -> None:
     got = VersaPadDecoder(BAUD).feed(noise + good, 0.0)
     assert got
     assert content(got[-1]) == content(VersaPadDecoder(BAUD).feed(good, 0.0)[0])
@@ -130,7 +130,7 @@ def test_one_lost_byte_costs_one_packet(sent: list[bytes], data: st.DataObject) 
 
 
 @given(streams, st.data())
-def test_a_pad_gives_contacts_on_the_pad_whatever_comes(stream: bytes, data: st.DataObject) -> None:
+def test_contacts_lie_on_the_pad_for_any_input(stream: bytes, data: st.DataObject) -> None:
     pad, t = make_pad(2, VersaPadConfig(port="pad")), 0.0
     for piece in data.draw(cut(stream)):
         t += data.draw(gaps)
@@ -195,7 +195,7 @@ def test_any_angle_arrives_as_the_same_direction(angle: float, x: float) -> None
 
 
 @given(st.text(max_size=60))
-def test_parsers_raise_their_own_error_only(body: str) -> None:
+def test_parsers_raise_only_their_own_error(body: str) -> None:
     for parse in (parse_command, parse_reply):
         try:
             parse(body)
@@ -204,7 +204,7 @@ def test_parsers_raise_their_own_error_only(body: str) -> None:
 
 
 @given(talk.map(b"".join), st.data())
-def test_every_byte_of_a_line_is_accounted_for_and_no_split_matters(stream: bytes, data: st.DataObject) -> None:
+def test_every_byte_of_a_line_is_counted_for_any_split(stream: bytes, data: st.DataObject) -> None:
     whole, split = LineReader(BAUD), LineReader(BAUD)
     expected = [line.body for line in whole.feed(stream, 0.0)]
     times, got, t = [], [], 0.0
@@ -219,7 +219,7 @@ def test_every_byte_of_a_line_is_accounted_for_and_no_split_matters(stream: byte
     assert whole.counters == split.counters
     kept = sum(len(frame(body, b"\n")) for body in got)
     accounted = kept + split.counters.bytes_discarded + split.pending
-    assert accounted <= len(stream) <= accounted + len(got), "each kept line may have had a CR too"
+    assert accounted <= len(stream) <= accounted + len(got), "each kept line may also have had a CR"
 
 
 @given(st.binary(max_size=159).filter(lambda noise: b"\n" not in noise), replies)
@@ -229,7 +229,7 @@ def test_a_line_feed_resynchronises(noise: bytes, reply: Reply) -> None:
 
 
 @given(replies, st.data())
-def test_one_flipped_bit_is_always_noticed(reply: Reply, data: st.DataObject) -> None:
+def test_one_flipped_bit_is_always_detected(reply: Reply, data: st.DataObject) -> None:
     line = bytearray(encode_reply(reply).removesuffix(CONTROLLER_NEWLINE))
     place = data.draw(st.integers(0, len(line) - 1))
     line[place] ^= 1 << data.draw(st.integers(0, 7))
@@ -243,7 +243,7 @@ actions = st.one_of(
     replies.map(encode_reply),
     st.sampled_from(["request_tracking", "request_stop", "request_reset", "disconnected"]),
     st.builds(Pose, st.floats(), st.floats(), st.floats()),
-    st.sampled_from(ArmState),  # a fitting answer to the last line sent, with this state
+    st.sampled_from(ArmState),  # a valid answer to the last line sent, with this state
 )
 LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
 
@@ -254,7 +254,7 @@ LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
     + [(0.016, ArmState.TRACKING), (0.0, Pose(math.inf, 0.0, 0.0)), (0.0, Pose(0.0, 0.0, math.nan))] * 5
     + [(0.0, ArmState.HOLD), (0.016, Pose(0.0, 0.0, math.inf)), (0.0, "request_stop"), (0.0, ArmState.READY)]
 )
-def test_host_survives_anything_and_always_moves_on(
+def test_the_host_accepts_any_input_and_continues(
     script: list[tuple[float, bytes | ArmState | str | Pose]],
 ) -> None:
     host, far = ArmHost(AdeptConfig(port="arm")), LineReader(38400)

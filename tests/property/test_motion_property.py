@@ -1,4 +1,4 @@
-"""Random plans under random holds, resumes, stops and late calls: the command keeps every limit, always."""
+"""Random plans with random holds, resumes, stops and late calls keep every limit of the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _limits(roomier_deg: float = 0.0) -> MotionLimits:
 
 
 LIMITS = _limits()
-ROOMY = _limits(0.05)  # a plan's extremes are sampled when it is checked, to about 0.1 % of a swing
+ROOMY = _limits(0.05)  # extremes of a plan are sampled, to about 0.1 % of a swing
 START = (math.radians(45), math.radians(90))
 
 phi1_deg = st.floats(10, 70)
@@ -101,8 +101,8 @@ def _pairs(motion: PalmMotion) -> tuple[tuple[float, float, float], ...]:
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow])
 @given(trajectories(), st.randoms(use_true_random=False))
-def test_derivatives_belong_together_and_limits_hold_everywhere(trajectory: Trajectory, random: Any) -> None:
-    """Rates and accelerations are the slopes of the angles; the oracle is central differences."""
+def test_derivatives_are_consistent_and_limits_hold_everywhere(trajectory: Trajectory, random: Any) -> None:
+    """Rates and accelerations agree with central differences of the angles."""
     last = min(trajectory.duration, 40.0)
     joints = [sum(done.duration for done in trajectory.rounds[:n]) for n in range(len(trajectory.rounds) + 1)]
     times = [random.uniform(0.0, last) for _ in range(60)] + [t for t in joints if t <= last]
@@ -137,13 +137,13 @@ def _obey(executor: TrajectoryExecutor, command: str, trajectory: Trajectory) ->
         elif command == "start":
             executor.start(trajectory)
     except MotionError:
-        pass  # refused at this moment: as good as not asked
+        pass  # refused at this moment: no effect
 
 
 @pytest.mark.parametrize("dt", [0.010, 0.016])
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow])
 @given(trajectories(), commands)
-def test_command_keeps_rate_and_acceleration_whatever_is_asked(
+def test_commands_keep_rate_and_acceleration_limits_for_any_requests(
     dt: float, trajectory: Trajectory, commands: list[tuple[int, str]]
 ) -> None:
     executor = TrajectoryExecutor(LIMITS)
@@ -151,11 +151,11 @@ def test_command_keeps_rate_and_acceleration_whatever_is_asked(
     executor.start(trajectory)
     t = 0.0
     command = [executor.advance(t)]
-    for count, wish in commands:
+    for count, request in commands:
         for _ in range(count):
             t += dt
             command.append(executor.advance(t))
-        _obey(executor, wish, trajectory)
+        _obey(executor, request, trajectory)
     worst = 0.0
     for a, b, c in zip(command, command[1:], command[2:], strict=False):
         for before, here, after in ((a.angles[0], b.angles[0], c.angles[0]), (a.angles[1], b.angles[1], c.angles[1])):
@@ -192,10 +192,10 @@ angle = st.floats(-4.0, 4.0) | st.sampled_from([math.nan, math.inf, -math.inf])
     st.lists(st.tuples(angle, angle), min_size=1, max_size=30),
     st.floats(0.0, 0.1),
 )
-def test_clamped_steps_never_leave_the_limits_or_exceed_the_rate(wishes: list[tuple[float, float]], dt: float) -> None:
+def test_clamped_steps_keep_the_limits_and_the_rate(requests: list[tuple[float, float]], dt: float) -> None:
     last = PalmMotion.at_rest(START)
-    for wish in wishes:
-        sent = LIMITS.clamp_step(last, motion_of(wish), dt)
+    for request in requests:
+        sent = LIMITS.clamp_step(last, motion_of(request), dt)
         assert not LIMITS.violations(sent.angles)
         assert (
             max(abs(sent.angles[0] - last.angles[0]), abs(sent.angles[1] - last.angles[1])) <= LIMITS.rate * dt + 1e-12

@@ -1,4 +1,4 @@
-"""Refused means nothing moved: whatever is asked, by whom, in whatever state, wherever the palms stand."""
+"""A refused command moves nothing, for any command, client, state and pose."""
 
 import copy
 import math
@@ -50,7 +50,7 @@ class Bench:
         return self.ticks * 0.01
 
     def go(self, ticks):
-        """So many ticks; what was written to the arm meanwhile, with its times."""
+        """Runs so many ticks; returns the bytes written to the arm with their times."""
         written = []
         for _ in range(ticks):
             for step in range(10):
@@ -68,7 +68,7 @@ class Bench:
         return written
 
     def ask(self, name, **args):
-        """A command; why it was refused, None when it was granted."""
+        """Sends a command; returns the reason of its refusal, None when granted."""
         self.core.handle(Request(name, args, id=name), self.t)
         for _ in range(130):
             self.answers += self.core.replies()
@@ -130,7 +130,7 @@ def jogged():
 
 
 def at_a_limit():
-    """Palm 1 as far down as it may be, near enough."""
+    """Palm 1 close to its lower limit."""
     bench = armed()
     while bench.ask("jog", phi1_deg=-0.5) is None:
         bench.go(4)
@@ -190,7 +190,7 @@ def commands(draw):
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(commands())
-def test_what_is_refused_leaves_every_byte_to_the_arm_as_it_was(state, command):
+def test_a_refused_command_leaves_the_bytes_to_the_arm_unchanged(state, command):
     check(state, *command)
 
 
@@ -201,7 +201,7 @@ ALWAYS = (
 
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
-def test_every_plain_command_in_every_state(state):
+def test_every_command_without_arguments_in_every_state(state):
     for name, args in ALWAYS:
         check(state, name, args)
 
@@ -235,8 +235,8 @@ angles = st.tuples(*(st.floats(low, high) for low, high in LIMITS.angles))
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(angles, st.tuples(st.floats(-180.0, 180.0), st.floats(-180.0, 180.0)))
-def test_a_jog_in_steps_is_refused_at_the_first_or_granted_whole(begin, way_deg):
-    """As `palmd ctl jog` gives it: what cannot be done whole is not begun, what is begun is done."""
+def test_a_stepwise_jog_is_refused_at_the_first_step_or_executed_completely(begin, way_deg):
+    """As `palmd ctl jog` sends it: an infeasible jog is not begun."""
     if sum(begin) > math.radians(171.0):
         return
     points = standing(begin)

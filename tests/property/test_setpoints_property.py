@@ -1,4 +1,4 @@
-"""Whatever is asked of the set-points, no set-point leaves the limits or is farther from the last than allowed."""
+"""No set-point leaves the limits or exceeds the allowed step, whatever is requested."""
 
 import contextlib
 import math
@@ -42,7 +42,7 @@ GOOD = compile_plan(SPEC, LIMITS)
 
 
 class Rogue(Hold):
-    """A segment that was never checked: it jumps about, leaves every limit and is not always a number."""
+    """A segment without checks: it jumps, leaves every limit and is sometimes NaN."""
 
     def at(self, t: float) -> PalmMotion:
         jumps = (0.8, 7.0, -3.0, math.nan, 1e9, math.inf, 2.9)
@@ -72,7 +72,7 @@ acts = st.one_of(
 
 
 def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
-    """Ask for something; returns whether the arm was said to be elsewhere."""
+    """Sends a request; returns whether the arm's pose was reported to differ."""
     with contextlib.suppress(MotionError):
         match what:
             case "start":
@@ -100,7 +100,7 @@ def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.tuples(acts, st.integers(0, 12), st.floats(0.012, 0.030)), max_size=25), st.randoms())
-def test_guard(script, random):
+def test_set_points_keep_limits_and_steps_for_any_requests(script, random):
     setpoints, t = SetPoints(POSES, LIMITS), 100.0
     setpoints.stand(HERE, POSES.pose(HERE.angles), t)
     last, t_last = HERE, t
@@ -114,7 +114,7 @@ def test_guard(script, random):
             pose = setpoints.target(t)
             assert pose is not None
             if random.random() < 0.1:
-                continue  # the line had no room for it
+                continue  # no free space in the line
             setpoints.sent(t)
             phi1, phi2 = GEOMETRY.palm_angles(pose.x_m, pose.y_m)
             assert LIMITS.angles[0][0] - 1e-9 <= phi1 <= LIMITS.angles[0][1] + 1e-9

@@ -1,4 +1,4 @@
-"""The closed loop without wires: deterministic by seed, through the same commands, and right about the object."""
+"""The closed loop without wires: deterministic by seed, driven by the same commands, with correct estimates."""
 
 import dataclasses
 import itertools
@@ -35,30 +35,30 @@ def wireless(seed, **how):
 
 
 def light(seed=5):
-    """To which its observer does not matter."""
+    """A run without the full observer."""
     return wireless(seed, observer_name="quasistatic")
 
 
 def bits(instants):
-    """Everything that a run says and everything that is true in it, to the last bit."""
+    """All messages and the truth of a run, bit by bit."""
     return repr([(instant.messages, instant.truth) for instant in instants])
 
 
-def test_the_same_seed_gives_the_same_bits():
+def test_the_same_seed_repeats_a_run_bit_by_bit():
     first, second = wireless(3), wireless(3)
     first.start()
     second.start()
     assert bits(first.run(2.5)) == bits(second.run(2.5))
 
 
-def test_another_seed_has_another_body():
+def test_another_seed_draws_another_body():
     bodies = [wireless(seed).world.object_truth() for seed in (3, 4)]
     assert bodies[0]["h_m"] != bodies[1]["h_m"]
     assert bodies[0]["mass_kg"] != bodies[1]["mass_kg"]
 
 
 def take(scorer, instant):
-    """One tick of a run."""
+    """Scores one tick of a run."""
     estimate = instant.messages[ESTIMATE.name]
     if scorer.take(instant.t, estimate):
         scorer.compare(instant.t, [estimate[name] for name in COMPARED], [instant.truth[name] for name in COMPARED])
@@ -67,7 +67,7 @@ def take(scorer, instant):
 
 
 @pytest.mark.parametrize(("seed", "observer_name"), [(1, "shape"), (3, "shape"), (6, "extended")])
-def test_it_settles_and_is_right(seed, observer_name):
+def test_the_estimate_becomes_valid_and_is_correct(seed, observer_name):
     run = wireless(seed, observer_name=observer_name)
     run.start()
     scorer = Scorer(run.t)
@@ -87,7 +87,7 @@ def test_it_settles_and_is_right(seed, observer_name):
     assert 0.0 < math.radians(status["largest_rate_deg_s"]) < RATE_LIMIT
 
 
-def test_ticks_are_the_loops_own_and_truth_is_of_the_same_instant():
+def test_ticks_follow_the_loops_period_and_truth_belongs_to_the_same_instant():
     run = light()
     run.start()
     instants = list(run.run(0.5))
@@ -98,7 +98,7 @@ def test_ticks_are_the_loops_own_and_truth_is_of_the_same_instant():
     assert {"palm/estimate", "palm/contact", "palm/motion"} <= instants[-1].messages.keys()
 
 
-def test_commands_go_the_way_of_a_client():
+def test_commands_are_checked_as_those_of_a_client():
     run = light()
     with pytest.raises(ClosedLoopError, match="it must be tracking or hold"):
         run.ask("start")
@@ -111,14 +111,14 @@ def test_commands_go_the_way_of_a_client():
     assert run.world.truth()["arm_state"] == "R"
 
 
-def test_a_rig_that_does_not_get_ready_is_told():
+def test_a_rig_that_does_not_become_ready_raises_with_its_state():
     run = light()
     run.world.fault_injector.add(order("mute", 0.0, port="arm"))
     with pytest.raises(ClosedLoopError, match="not ready within 5 s, but idle: "):
         run.start()
 
 
-def test_after_a_hold_it_goes_on():
+def test_motion_continues_after_a_hold():
     run = light()
     run.start()
     run.world.fault_injector.add(order("mute", run.t, port="pad1", for_s=0.5))
@@ -128,8 +128,8 @@ def test_after_a_hold_it_goes_on():
     assert run.core.setpoints.moving
 
 
-class ToAndFro(Decider):
-    """Decides for two poses in turn, and that all is done once it has been asked so often."""
+class AlternatingDecider(Decider):
+    """Decides for two poses in turn, and ends the exploration after so many questions."""
 
     questions_left = 15
 
@@ -148,7 +148,7 @@ class ToAndFro(Decider):
 
 
 def exploring(seed=3):
-    decider = ToAndFro(rig_description(default_config()))
+    decider = AlternatingDecider(rig_description(default_config()))
     run = TwoPalmsLoop(default_config(), EXPLORE, seed, explorer=InlineExplorer(decider))
     run.start()
     return run
@@ -156,13 +156,13 @@ def exploring(seed=3):
 
 @pytest.fixture(scope="module")
 def explored():
-    """A run, and all of it."""
+    """A run and all its instants."""
     run = exploring()
     return run, list(run.run(20.0))
 
 
 @pytest.mark.nightly
-def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told(explored):
+def test_an_exploration_starts_without_an_estimate_and_follows_the_decisions_to_the_end(explored):
     run, instants = explored
     valid = next(instant.t for instant in instants if instant.messages["palm/estimate"]["valid"])
     assert valid < 8.0
@@ -177,13 +177,13 @@ def test_an_exploration_begins_blind_goes_on_as_decided_and_ends_when_told(explo
     run.stop()
 
 
-def test_an_exploration_is_the_same_to_the_last_bit_for_the_same_seed(explored):
+def test_the_same_seed_repeats_an_exploration_bit_by_bit(explored):
     again = list(exploring().run(5.0))
     assert bits(again) == bits(explored[1][: len(again)])
 
 
 @pytest.mark.nightly
-def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
+def test_an_exploration_continues_after_a_hold_from_its_pose():
     run = exploring()
     for instant in run.run(8.0):
         if instant.messages["palm/estimate"]["valid"]:
@@ -201,7 +201,7 @@ def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
     assert str(run.core.state) == "tracking"
 
 
-def test_an_estimate_is_judged_against_the_truth():
+def test_the_score_compares_an_estimate_with_the_truth():
     run = wireless(5)
     run.start()
     (instant,) = run.run(0.01)
@@ -223,14 +223,14 @@ def test_an_estimate_is_judged_against_the_truth():
     assert scorer.outline(body["h_m"]) is None
 
 
-def test_what_never_settled_has_no_numbers():
+def test_the_score_of_a_run_without_a_valid_estimate_has_no_numbers():
     scorer = Scorer(0.0)
     scorer.take(1.0, {"valid": False})
     assert all(map(math.isnan, (scorer.settling_s, scorer.valid_share, *scorer.rms())))
 
 
 @pytest.mark.nightly
-def test_what_is_felt_to_have_a_corner_is_tipped():
+def test_a_body_with_detected_corners_is_tipped():
     config = default_config()
     body = real_object("nut", np.random.default_rng(1)).body
     run = TwoPalmsLoop(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)

@@ -1,4 +1,4 @@
-"""The study explore: one real run of each strategy, how runs are judged, and how they are told."""
+"""The study explore: one real run of each strategy, its score, and the table."""
 
 import math
 from types import SimpleNamespace
@@ -24,21 +24,21 @@ from tools.studies.exploring_watch import ExplorationWatch
 
 
 @pytest.mark.nightly
-def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
-    """Eight seconds of each on the same object, the smoother beside the first."""
+def test_exploring_touches_more_than_the_open_loop_plans_and_every_field_is_filled():
+    """Eight seconds of each strategy on the same object; the first run has the smoother."""
     explored, random = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
     assert [row.error for row in (explored, random)] == ["", ""]
     assert explored.coverage > 0.35
     assert random.coverage < explored.coverage
     assert explored.reachable > 0.9
     assert 0.0 < explored.valid_s < 8.0
-    assert explored.hausdorff_m < 3.0 * explored.band_m  # a third of it nobody has touched
+    assert explored.hausdorff_m < 3.0 * explored.band_m  # a third of the outline has not been touched
     assert explored.e_h_m <= explored.hausdorff_m
     assert (explored.losses, explored.outside, explored.refused, explored.recovered) == (0, 0, 0, True)
     assert math.isnan(random.hausdorff_m)
 
 
-def test_no_two_kinds_get_the_same_object():
+def test_each_kind_gets_another_object():
     asked = SimpleNamespace(kind="all", seed=10, runs=3, seconds=60.0, imperfections="none", config=None)
     tasks = exploring.draw(asked)
     seeds = {kind: {task.seed for task in tasks if task.kind == kind} for kind in KINDS}
@@ -48,7 +48,7 @@ def test_no_two_kinds_get_the_same_object():
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_plans_are_good_and_last_long_enough(strategy):
+def test_plans_are_valid_and_last_long_enough(strategy):
     config = default_config()
     limits, goal = motion_limits(config), ExploreGoal(time_limit_s=60.0)
     for seed in range(5):
@@ -57,7 +57,7 @@ def test_plans_are_good_and_last_long_enough(strategy):
     assert (exploring_plans.plan(strategy, config, goal, 1) == spec) is (strategy != "random")
 
 
-# ------------------------------------------------------------------------------------------------ judging
+# ------------------------------------------------------------------------------------------------ scoring
 
 
 def instant(t, psi, contacts=(True, True), s=(0.02, 0.03), valid=True):
@@ -72,7 +72,7 @@ def watch(**how):
     return ExplorationWatch(np.ones(BINS, dtype=np.bool_), (0.0555, 0.0555), t_start=100.0, **how)
 
 
-def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
+def test_bins_of_both_normals_are_touched_during_contact():
     both, one = watch(), watch()
     both.take(instant(100.0, psi=0.0))
     one.take(instant(100.0, psi=0.0, contacts=(False, True)))
@@ -82,25 +82,25 @@ def test_the_bins_of_both_normals_are_touched_where_there_is_contact():
     assert (both.parted, one.parted, both.on_both, one.on_both) == (0, 1, True, False)
 
 
-def test_time_to_enough_counts_what_can_be_reached():
+def test_time_to_coverage_counts_only_reachable_normals():
     reachable = np.zeros(BINS, dtype=np.bool_)
     reachable[50:60] = True
     mine = ExplorationWatch(reachable, (0.0555, 0.0555), t_start=100.0)
-    for k in range(400):  # ψ falls by 10° a second: θ1 goes from 298° up, through the bins from 59 on
+    for k in range(400):  # ψ falls by 10° per second: θ1 rises from 298° through the bins from 59
         mine.take(instant(100.0 + 0.01 * k, psi=math.radians(45.0 - 0.15 * k)))
-    # bin 50 is touched when θ1 = 298.6° − 45° + 15°/s · t comes to 250°: at once; bin 59 at 295° after 2.76 s
+    # bin 50 is touched when θ1 = 298.6° − 45° + 15°/s · t reaches 250°: at once; bin 59 at 295° after 2.76 s
     assert mine.t_enough == pytest.approx((295 - (298.65 - 45.0)) / 15.0, abs=0.02)
     assert mine.coverage == 1.0
 
 
-def test_a_pads_end_is_seen():
+def test_a_contact_at_a_pads_end_is_counted():
     for s, ticks in (((0.0004, 0.03), 1), ((0.02, 0.0552), 1), ((0.001, 0.054), 0)):
         mine = watch()
         mine.take(instant(100.0, 0.0, s=s))
         assert mine.at_edge == ticks
 
 
-def test_the_whole_outline_is_judged_not_only_what_was_touched():
+def test_the_largest_error_covers_untouched_normals_too():
     theta = np.arange(360) * (math.tau / 360)
     true_h = 0.02 + 1e-3 * np.cos(2 * theta) + 4e-4 * np.sin(3 * theta)
     h = np.roll(true_h, 40)
@@ -122,26 +122,26 @@ def test_an_outline_counts_only_while_the_estimate_is_valid():
     assert mine.t_valid == pytest.approx(0.1)
 
 
-# ------------------------------------------------------------------------------------------------ telling
+# ------------------------------------------------------------------------------------------------ table
 
 
 def row(strategy="explore", seed=0, **numbers):
-    told = {"coverage": 0.97, "enough_s": 12.0, "hausdorff_m": 3e-5, "valid_s": 2.0, "reachable": 1.0}
-    return ExploringRow("odd", seed, strategy, **told | numbers)
+    defaults = {"coverage": 0.97, "enough_s": 12.0, "hausdorff_m": 3e-5, "valid_s": 2.0, "reachable": 1.0}
+    return ExploringRow("odd", seed, strategy, **defaults | numbers)
 
 
-def test_the_table_counts_what_is_missing_as_never():
+def test_missing_times_count_as_infinite_in_the_table():
     rows = [row(seed=s) for s in range(3)] + [row(seed=3, enough_s=math.nan, coverage=0.4)]
     rows += [row("random", enough_s=math.nan, coverage=0.3)]
     cells = {line[:48].strip(): line[48:].split("  ") for line in STUDY.tabled(rows).splitlines()}
-    told = {name: [cell.strip() for cell in each if cell.strip()] for name, each in cells.items()}
-    assert told[""] == ["odd", "odd, random"]
-    assert told["touched 95 % (% of objects)"] == ["75.0", "0.0"]
-    assert told["time to 95 %, median / p90 (s)"] == ["12 / ∞", "∞ / ∞"]
-    assert told["whole outline: largest error, median / p90 (mm)"][0] == "0.03 / 0.03"
+    defaults = {name: [cell.strip() for cell in each if cell.strip()] for name, each in cells.items()}
+    assert defaults[""] == ["odd", "odd, random"]
+    assert defaults["touched 95 % (% of objects)"] == ["75.0", "0.0"]
+    assert defaults["time to 95 %, median / p90 (s)"] == ["12 / ∞", "∞ / ∞"]
+    assert defaults["whole outline: largest error, median / p90 (mm)"][0] == "0.03 / 0.03"
 
 
-def test_remarks_name_what_went_wrong_and_nothing_else():
+def test_remarks_list_only_the_failures():
     bad = [
         row(),
         row("random", seed=1, enough_s=math.nan),
@@ -158,7 +158,7 @@ def test_remarks_name_what_went_wrong_and_nothing_else():
     ]
 
 
-def test_a_rig_that_cannot_be_read_is_refused_before_the_first_run(tmp_path, capsys):
+def test_an_unreadable_configuration_is_rejected_before_the_first_run(tmp_path, capsys):
     missing, folder = tmp_path / "no.yaml", tmp_path / "new"
     assert main(["explore", "--config", str(missing), "-o", str(folder)]) == 1
     assert f"{missing}:1:1: no such file" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Ordinary operation without alarms, and the study that looks for them."""
+"""The study of false alarms: ordinary operation raises no fault, and a limit that is too narrow is found."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from tools.studies.false_alarms import STUDY, OperationTask, run
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("rig", ["arm", "servos", "pivot"])
-def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(rig):
+def test_jogging_holding_and_starting_on_a_busy_machine_raise_no_fault(rig):
     life = run(OperationTask(rig, 9000, 25.0, light=True))
     assert not life.error
     assert not life.guards

@@ -40,7 +40,7 @@ GOOD = Reaction({"pad1-silent": "hold", "pad1-garbled": "degrade"}, "hold", 0.05
 
 
 @pytest.mark.parametrize("row", ROWS, ids=NAMES)
-def test_what_a_row_promises_is_what_the_daemons_table_says(row):
+def test_a_rows_promise_agrees_with_the_daemons_table(row):
     for code, severity in row.faults:
         assert TABLE[code].severity == severity
     assert set(row.may) <= TABLE.keys()
@@ -50,7 +50,7 @@ def test_what_a_row_promises_is_what_the_daemons_table_says(row):
     assert row.state == (gravest or "tracking") or row.name == "daemon-killed"
 
 
-def test_every_port_is_provoked_in_every_way():
+def test_every_port_has_a_row_for_every_injection():
     assert len(set(NAMES)) == len(NAMES)
     ways = ("dead", "garbled", "late", "mute", "replaced", "foreign")
     assert {f"{port}-{way}" for port in PORTS for way in ways} <= set(NAMES)
@@ -60,11 +60,11 @@ def test_every_port_is_provoked_in_every_way():
 
 
 def turning(*rates):
-    """Palm 1 at these rates (rad/s), one in 10 ms from 100 s on; palm 2 stands."""
+    """Reports of palm 1 at these rates (rad/s), one per 10 ms from 100 s; palm 2 stands."""
     return [TrueMotion(100.0 + 0.01 * i, (0.01 * sum(rates[:i]), 1.0), (rate, 0.0)) for i, rate in enumerate(rates)]
 
 
-def test_the_arm_stands_when_it_has_come_to_stand_for_good():
+def test_the_arm_is_at_rest_from_the_last_time_it_stops():
     still, turned = standstill(turning(1.0, 0.5, 0.0, 0.4, 0.0, 0.001), 100.0)
     assert still == pytest.approx(0.04)
     assert turned == pytest.approx(0.019)
@@ -73,11 +73,11 @@ def test_the_arm_stands_when_it_has_come_to_stand_for_good():
     assert all(map(math.isnan, standstill([], 100.0)))
 
 
-def test_a_palm_that_turns_back_before_it_stands_has_not_come_to_stand():
+def test_a_palm_that_reverses_is_not_at_rest():
     assert standstill(turning(1.0, -0.5, 0.0), 100.0)[0] == pytest.approx(0.02)
 
 
-def test_only_what_comes_after_the_cause_counts():
+def test_reports_before_the_injection_do_not_count():
     watch = ReactionWatch(
         states=[
             StateReport(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
@@ -96,14 +96,14 @@ def test_only_what_comes_after_the_cause_counts():
 # ---------------------------------------------------------------------------------------------------- judging
 
 
-def test_a_row_that_did_as_promised():
+def test_a_reaction_as_promised_has_no_differences():
     assert differences(ROW, GOOD) == []
     assert complete(ROW, GOOD)
     assert all_as_promised([(ROW, [GOOD, GOOD])])
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "difference"),
     [
         ({"faults": {}}, "no pad1-silent"),
         ({"faults": {"pad1-silent": "note"}}, "pad1-silent is note, not hold"),
@@ -115,13 +115,13 @@ def test_a_row_that_did_as_promised():
         ({"wrong": ("3 recorded messages are lost",)}, "3 recorded messages are lost"),
     ],
 )
-def test_each_thing_that_is_otherwise_is_told(change, told):
+def test_each_deviation_is_reported(change, difference):
     reaction = replace(GOOD, **change)
-    assert differences(ROW, reaction) == [told]
+    assert differences(ROW, reaction) == [difference]
     assert not all_as_promised([(ROW, [GOOD, reaction])])
 
 
-def test_a_grave_fault_that_may_come_leads_where_it_leads():
+def test_an_optional_stop_fault_changes_the_expected_state():
     row = replace(ROW, state="tracking", faults=(("pad1-garbled", "degrade"),))
     reaction = Reaction({"pad1-garbled": "degrade", "pad1-lifted": "hold"}, "hold", 0.5, 0.6, 0.1)
     assert differences(row, reaction) == []
@@ -129,7 +129,7 @@ def test_a_grave_fault_that_may_come_leads_where_it_leads():
     assert differences(row, Reaction({"pad1-garbled": "degrade"}, "hold", 0.5, 0.6)) == ["state hold, not tracking"]
 
 
-def test_it_is_told_in_a_table_and_in_lines():
+def test_reactions_are_reported_as_table_and_lines():
     slow = replace(GOOD, still_s=0.2, wrong=("something",))
     text = table([(ROW, [GOOD, slow]), (ROWS[0], [])])
     assert text.splitlines()[0].split() == [

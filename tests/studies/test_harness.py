@@ -1,4 +1,4 @@
-"""The harness of studies: runs in threads, processes or a cluster, the file of rows, resuming, the table, the goals."""
+"""The harness of studies: execution in threads, processes or a cluster, row files, resuming, the table, the goals."""
 
 import contextlib
 import importlib
@@ -59,7 +59,7 @@ def test_help_names_every_study(capsys):
     assert all(f"  {name} " in shown for name in STUDIES)
 
 
-def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monkeypatch, capsys):
+def test_a_missing_optional_package_is_named_with_its_install_command(monkeypatch, capsys):
     def not_there(_name):
         raise ModuleNotFoundError(name="matplotlib")
 
@@ -68,7 +68,7 @@ def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monk
     assert install_line("matplotlib", "studies") in capsys.readouterr().err
 
 
-def test_a_missing_module_of_ours_is_a_defect(monkeypatch):
+def test_a_missing_module_of_the_project_is_an_error(monkeypatch):
     monkeypatch.delitem(sys.modules, "tools.studies.sbc", raising=False)
     monkeypatch.setitem(sys.modules, "tools.studies.uniformity", None)
     with pytest.raises(ModuleNotFoundError):
@@ -97,7 +97,7 @@ def test_usage_errors(argv, said, capsys):
 # ------------------------------------------------------------------------------------------ rows, table, goals
 
 
-def test_rows_are_in_order_and_what_raises_is_a_row(threads, tmp_path, capsys):
+def test_rows_are_in_order_and_an_exception_makes_an_error_row(threads, tmp_path, capsys):
     path = tmp_path / "new" / "toy.jsonl"
     assert study().conduct(asked("--runs", 3, "--seed", 11, "-o", path)) == 0
     assert [(row["kind"], row["seed"]) for row in lines(path)] == [(kind, s) for kind in KINDS for s in (11, 12, 13)]
@@ -111,7 +111,7 @@ def test_rows_are_in_order_and_what_raises_is_a_row(threads, tmp_path, capsys):
     assert out[-1] == f"written: {path}"
 
 
-def test_one_kind_across_and_all_together():
+def test_kinds_have_a_column_each_and_one_together():
     rows = [ToyRow(kind, seed, 1.0, value=float(seed)) for kind in KINDS for seed in (1, 2)]
     across = study(across=True, whole="all").tabled(rows).splitlines()
     assert across[0].split() == ["flat", "bent", "all"]
@@ -119,12 +119,12 @@ def test_one_kind_across_and_all_together():
     assert [task.kind for task in draw(asked("--kind", "bent", "--runs", 2))] == ["bent", "bent"]
 
 
-def test_a_missed_goal_is_told_and_is_the_exit_status(threads, capsys):
+def test_a_missed_goal_is_reported_and_sets_the_exit_status(threads, capsys):
     assert study().conduct(asked("--runs", 1, "--seed", 30, output=None)) == BAD_INPUT
     assert "goal missed: no value is above 20" in capsys.readouterr().out
 
 
-def test_a_figure_is_drawn_where_there_is_one(threads, tmp_path, capsys):
+def test_a_study_with_a_figure_draws_it(threads, tmp_path, capsys):
     panels = [("value", lambda row: row.value, 1.0, (2.0,), False), ("nothing", lambda _: math.nan, 1.0, (), True)]
     assert study(panels=panels).conduct(asked("-o", tmp_path)) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.jsonl", "toy.png", "toy.svg"]
@@ -141,7 +141,7 @@ def test_quantiles():
     assert cells.quantile([1.0, math.inf], 0.5) == math.inf
 
 
-def test_cells_count_what_is_missing_as_they_say():
+def test_cells_count_missing_values_as_configured():
     rows = [ToyRow("flat", 0, 1.0, value=each) for each in (3.0, 4.0, math.nan)]
     value = ToyRow.value.__get__
     assert cells.quantiles(value, 10.0)(rows) == "35"
@@ -153,14 +153,14 @@ def test_cells_count_what_is_missing_as_they_say():
     assert cells.among(lambda row: row.value > 3.0, cells.runs)(rows) == "1"
 
 
-def test_numbers_in_words():
+def test_numbers_are_formatted_for_the_table():
     assert harness.numbers([5, 3, 4, 9, 11, 12, 4]) == "3–5, 9, 11–12"
 
 
 # ------------------------------------------------------------------------------------------------ interrupted
 
 
-def test_an_interruption_leaves_what_is_finished(threads, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_study_keeps_finished_rows(threads, tmp_path, monkeypatch, capsys):
     def interrupted(_executor, work, _failed, tasks):
         for task in reversed(tasks[:3]):
             yield work(task)
@@ -173,7 +173,7 @@ def test_an_interruption_leaves_what_is_finished(threads, tmp_path, monkeypatch,
     assert "interrupted: 3 of 50 runs are finished\n" in capsys.readouterr().err
 
 
-def test_rows_are_on_disk_as_soon_as_they_are_finished(threads, tmp_path, monkeypatch):
+def test_each_row_is_on_disk_as_soon_as_its_run_ends(threads, tmp_path, monkeypatch):
     path, counts = tmp_path / "toy.jsonl", []
 
     def watched(_executor, work, _failed, tasks):
@@ -190,8 +190,8 @@ def test_rows_are_on_disk_as_soon_as_they_are_finished(threads, tmp_path, monkey
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.kill)])
-def test_a_signal_ends_real_processes(number, send, tmp_path):
-    """A terminal's Ctrl-C reaches all of them, a termination the first only."""
+def test_a_signal_ends_all_processes(number, send, tmp_path):
+    """Ctrl-C at a terminal reaches all of them, a termination signal only the first."""
     command = [sys.executable, "-m", "tools.studies", "montecarlo", "--kind", "nominal", "--runs", "500"]
     command += ["--seconds", "0.6", "--no-causal", "--jobs", "1", "-o", str(tmp_path)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -208,7 +208,7 @@ def test_a_signal_ends_real_processes(number, send, tmp_path):
         _, err = process.communicate(timeout=120.0)
     assert process.returncode == 130
     assert "Traceback" not in err
-    assert 2 <= before <= len(lines(rows)) <= before + 20  # as soon as can be, however slow the machine
+    assert 2 <= before <= len(lines(rows)) <= before + 20  # soon, however slow the machine
     assert [row["error"] for row in lines(rows)] == [""] * len(lines(rows))
     t_end = time.monotonic() + 60.0
     while any(Path(f"/proc/{child}").exists() for child in children):
@@ -223,7 +223,7 @@ def resumed(path, *argv):
     return study(resumes=True).conduct(asked("--kind", "bent", "-o", path, *argv))
 
 
-def test_a_study_is_resumed_and_files_are_put_together(threads, tmp_path, monkeypatch):
+def test_a_study_is_resumed_and_files_are_merged(threads, tmp_path, monkeypatch):
     done = []
     finished = runs.finished
 
@@ -244,7 +244,7 @@ def test_a_study_is_resumed_and_files_are_put_together(threads, tmp_path, monkey
 
 
 @pytest.mark.parametrize("text", ["{}\n", "no json\n", "[1]\n", '{"kind": "bent", "seed": 1}\n', b"\xff\xfe\x00"])
-def test_any_other_file_is_left_alone(text, threads, tmp_path):
+def test_other_files_are_rejected_and_unchanged(text, threads, tmp_path):
     path = tmp_path / "file.jsonl"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     before = path.read_bytes()
@@ -256,15 +256,15 @@ def test_any_other_file_is_left_alone(text, threads, tmp_path):
         resumed(tmp_path / "folder")
 
 
-def test_runs_that_last_otherwise_are_another_study(threads, tmp_path):
+def test_rows_of_another_duration_are_rejected(threads, tmp_path):
     path = tmp_path / "file.jsonl"
     assert resumed(path, "--runs", 1, "--seconds", 5) == 0
     with pytest.raises(CliError, match="has runs of 5 s, not 10 s"):
         resumed(path, "--seconds", 10)
 
 
-def test_a_line_that_was_cut_off_is_told_by_its_number(threads, tmp_path):
-    """As a machine that lost its power leaves one."""
+def test_a_truncated_line_is_reported_with_its_number(threads, tmp_path):
+    """A power failure leaves such a line."""
     path = tmp_path / "file.jsonl"
     assert resumed(path, "--runs", 2) == 0
     left = path.read_text()[:-20]
@@ -274,7 +274,7 @@ def test_a_line_that_was_cut_off_is_told_by_its_number(threads, tmp_path):
     assert path.read_text() == left
 
 
-def test_a_file_that_cannot_be_written_is_one_line(threads, tmp_path):
+def test_a_file_that_cannot_be_written_is_a_one_line_error(threads, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CliError, match="cannot be written"):
         study().conduct(asked("-o", tmp_path / "file" / "toy.jsonl"))
@@ -287,7 +287,7 @@ def failed(task, error):
     return f"{task}: {type(error).__name__}"
 
 
-def test_processes_and_a_cluster_give_the_same(tmp_path):
+def test_processes_and_a_cluster_give_the_same_rows(tmp_path):
     distributed = pytest.importorskip("distributed")
     one, two = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
     assert study().conduct(asked("--seed", 11, "--jobs", 2, "-o", one)) == 0
@@ -296,21 +296,21 @@ def test_processes_and_a_cluster_give_the_same(tmp_path):
     assert one.read_text() == two.read_text()
 
 
-def test_a_cluster_forgets_what_is_undone_and_tells_failures():
+def test_a_cluster_cancels_pending_runs_and_reports_failures():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask:
         with runs.cluster(dask.scheduler_address) as executor:
             assert set(runs.finished(executor, math.sqrt, failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
             results = runs.finished(executor, time.sleep, failed, [0.0, *[0.3] * 100])
             assert next(results) is None
-        t_end = time.monotonic() + 10.0  # a third of what all of it would take; the news takes a moment to get there
+        t_end = time.monotonic() + 10.0  # a third of the time of all runs; the cancellation takes a moment
         while dask.scheduler.tasks and time.monotonic() < t_end:
             time.sleep(0.05)
         assert not dask.scheduler.tasks
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://there"])
-def test_a_scheduler_that_is_not_there_is_one_line_and_earlier_rows_stay(address, tmp_path, monkeypatch):
+def test_a_missing_scheduler_is_a_one_line_error_and_keeps_earlier_rows(address, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(runs, "CONNECT_S", 0.3)
     path = tmp_path / "toy.jsonl"
@@ -327,14 +327,14 @@ def test_a_cluster_needs_dask(monkeypatch):
     assert str(caught.value) == f"--scheduler needs Dask, which is not installed: {install_line('Dask', 'studies')}"
 
 
-def test_what_raises_in_a_process_or_kills_it_is_a_result():
+def test_a_run_that_raises_or_kills_its_process_is_an_error_row():
     with runs.local(2) as executor:
         assert set(runs.finished(executor, math.sqrt, failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
     with runs.local(1) as executor:
         assert list(runs.finished(executor, os._exit, failed, [3])) == ["3: BrokenProcessPool"]
 
 
-def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(monkeypatch):
+def test_a_worker_uses_one_thread_and_ignores_interruptions(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
     with runs.local(1) as executor:
         assert executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
@@ -343,8 +343,8 @@ def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(mon
     assert subprocess.run([sys.executable, "-c", program], env=ENVIRONMENT, check=False).returncode == 0
 
 
-def test_an_interruption_does_not_wait_for_the_runs_in_hand():
-    """They would last longer than this test is given: it ends only because they are cut short."""
+def test_an_interruption_ends_runs_in_progress():
+    """The runs would outlast this test's time limit unless they are ended."""
     workers = []
     try:
         with contextlib.suppress(KeyboardInterrupt), runs.local(2) as executor:
@@ -353,7 +353,9 @@ def test_an_interruption_does_not_wait_for_the_runs_in_hand():
             raise KeyboardInterrupt
         assert len(workers) == 2
         for worker in workers:
-            connection.wait([worker.sentinel])  # its end; for join() the executor's own thread may take the status away
+            connection.wait(
+                [worker.sentinel]
+            )  # waits for its end; join() would race with the executor's own thread for the status
     finally:
         for worker in workers:
             worker.kill()
@@ -370,7 +372,7 @@ if __name__ == "__main__":
 """
 
 
-def test_workers_do_not_outlive_their_parent(tmp_path):
+def test_workers_end_with_their_parent(tmp_path):
     script = tmp_path / "orphan.py"
     script.write_text(ORPHAN)
     with subprocess.Popen([sys.executable, str(script)], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as parent:

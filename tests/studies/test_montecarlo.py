@@ -1,4 +1,4 @@
-"""The Monte Carlo study: what a run is scored as, what many come to, and that it matters not where they are done."""
+"""The Monte Carlo study: the score of a run, the summary of many, independence of where they are executed."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ def scored(reconstruction, bound=BOUND, causal=None):
 # --------------------------------------------------------------------------------------------------- scoring
 
 
-def test_a_perfect_answer_has_no_errors_whatever_its_gauge():
+def test_a_perfect_answer_has_no_errors_in_any_gauge():
     row = scored(answer())
     assert row.e_h_m < 1e-8
     assert row.max_error_m < 1e-7
@@ -48,7 +48,7 @@ def test_a_perfect_answer_has_no_errors_whatever_its_gauge():
     assert not row.wrong
 
 
-def test_errors_of_known_size():
+def test_known_errors_are_measured():
     wave = 4e-5 * np.cos(12 * THETA)
     row = scored(answer(h=support(THETA + 0.7) + wave, touched=THETA >= 0.0, rho=0.0147, mu=0.15, mass=0.11))
     assert row.e_h_m == pytest.approx(4e-5 / math.sqrt(2), rel=1e-3)
@@ -71,13 +71,13 @@ def test_only_touched_normals_count():
     assert row.touched == touched.mean()
 
 
-def test_the_bound_is_asked_for_on_the_normals_as_the_truth_names_them():
+def test_the_bound_is_requested_at_the_truths_normals():
     errors = outline_errors(answer(), TRUTH)
     np.testing.assert_allclose(support(errors.true_theta), support(THETA + 0.7), atol=1e-8)
     assert 0.0 <= errors.true_theta.min() < errors.true_theta.max() < math.tau
 
 
-def test_motion_is_compared_up_to_one_constant_on_any_branch():
+def test_motion_is_compared_up_to_one_constant_and_whole_turns():
     wobble = 2e-3 * np.sin(50.0 * answer().t)
     psi = answer().psi + wobble
     wrapped = np.angle(np.exp(1j * (psi + 3.0)))
@@ -92,7 +92,7 @@ def test_motion_is_compared_up_to_one_constant_on_any_branch():
     [NO_SHAPE, {"touched": THETA > 7.0}, {"h": np.full(360, NAN)}],
     ids=["no shape", "nothing touched", "no numbers"],
 )
-def test_without_an_outline_there_are_no_numbers_of_it(changes):
+def test_without_an_outline_its_scores_are_missing(changes):
     row = scored(answer(**changes))
     assert all(math.isnan(x) for x in (row.e_h_m, row.max_error_m, row.touched, row.efficiency, row.nees_h))
     assert not row.right
@@ -100,7 +100,7 @@ def test_without_an_outline_there_are_no_numbers_of_it(changes):
     assert row.rho_m.bound == 5e-4
 
 
-def test_right_and_wrong():
+def test_correct_and_wrong_rows():
     assert scored(answer(h=np.full(360, 0.02))).wrong
     assert not scored(answer(h=np.full(360, 0.02), converged=False)).wrong
     between = scored(answer(h=support(THETA + 0.7) + 2.8e-4 * np.cos(12 * THETA)))
@@ -113,7 +113,7 @@ TICKS = np.arange(1, 1001) * 0.01
 
 
 def causal(**changes):
-    """Valid from 1 s, right in all from 2 s, r off by one sd of 0.1 mm."""
+    """Valid from 1 s, everything correct from 2 s, r in error by one 1σ of 0.1 mm."""
     values = {
         "t": TICKS, "valid": TICKS > 0.995, "r_error": np.full((1000, 2), 1e-4), "r_sd": np.full((1000, 2), 1e-4),
         "e_h": np.where(TICKS > 1.995, 1e-4, NAN),
@@ -121,10 +121,10 @@ def causal(**changes):
     return causal_of(ObserverAnswers(**values | changes))
 
 
-def test_lasting_convergence_needs_everything_to_the_end():
-    told = causal()
-    assert (told.converged_after_s, told.first_valid_s) == (pytest.approx(2.0), pytest.approx(1.0))
-    assert (told.r_rms_m, told.nees_r) == (pytest.approx(1e-4), pytest.approx(1.0))
+def test_convergence_requires_all_quantities_correct_to_the_end():
+    score = causal()
+    assert (score.converged_after_s, score.first_valid_s) == (pytest.approx(2.0), pytest.approx(1.0))
+    assert (score.r_rms_m, score.nees_r) == (pytest.approx(1e-4), pytest.approx(1.0))
     off = np.full((1000, 2), 1e-4)
     off[499, 1] = -3.1e-4
     assert causal(r_error=off).converged_after_s == pytest.approx(5.01)
@@ -133,7 +133,7 @@ def test_lasting_convergence_needs_everything_to_the_end():
     assert causal(e_h=np.full(1000, 1e-4), valid=TICKS > 0.0).converged_after_s == pytest.approx(0.01)
 
 
-def test_what_ends_badly_never_converged():
+def test_a_run_with_a_wrong_end_never_converged():
     for changes in ({"valid": TICKS < 9.0}, {"e_h": np.where(TICKS > 9.995, 3e-4, 1e-4)}, {"e_h": TICKS * NAN}):
         assert math.isnan(causal(**changes).converged_after_s)
     never = causal(valid=TICKS < 0.0)
@@ -143,9 +143,9 @@ def test_what_ends_badly_never_converged():
 def test_only_valid_ticks_of_the_last_five_seconds_are_averaged():
     error = np.where((TICKS <= 5.0)[:, None], 1.0, [1e-4, 3e-4])
     error[TICKS > 9.0] = NAN
-    told = causal(r_error=error, valid=(TICKS > 2.0) & (TICKS < 9.0))
-    assert told.r_rms_m == pytest.approx(math.sqrt(5.0) * 1e-4)
-    assert told.nees_r == pytest.approx(5.0)
+    score = causal(r_error=error, valid=(TICKS > 2.0) & (TICKS < 9.0))
+    assert score.r_rms_m == pytest.approx(math.sqrt(5.0) * 1e-4)
+    assert score.nees_r == pytest.approx(5.0)
 
 
 class Oracle(SilentObserver):
@@ -179,23 +179,23 @@ def log_of(tmp_path, kind="nominal", seed=1, seconds=1.0):
     return read_log(path), truth
 
 
-def test_a_causal_replay_is_judged_tick_by_tick(tmp_path):
+def test_a_causal_replay_is_scored_tick_by_tick(tmp_path):
     log, truth = log_of(tmp_path)
     oracle = Oracle(truth)
     answers = montecarlo.answers(log, truth, oracle)
     assert oracle.fed == list(log.events)
     assert answers.t == pytest.approx(np.arange(1, len(answers.t) + 1) * 0.01)
     np.testing.assert_allclose(answers.r_error, np.tile([1e-4, 0.0], (len(answers.t), 1)), atol=1e-9)
-    told = causal_of(answers)
-    assert told.first_valid_s == pytest.approx(0.31)
-    assert told.converged_after_s == pytest.approx(0.6)
-    assert told.nees_r == pytest.approx(0.125)
+    score = causal_of(answers)
+    assert score.first_valid_s == pytest.approx(0.31)
+    assert score.converged_after_s == pytest.approx(0.6)
+    assert score.nees_r == pytest.approx(0.125)
 
 
 # ------------------------------------------------------------------------------------------------- the run
 
 
-def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tmp_path, monkeypatch):
+def test_a_run_is_scored_against_the_simulators_truth(tmp_path, monkeypatch):
     log, truth = log_of(tmp_path, "rig", 5)
     seen = {}
 
@@ -204,8 +204,8 @@ def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tm
         t = np.array(truth["t"])
         return answer(h=np.array(truth["h_m"]), psi=np.array(truth["psi_rad"]), omega0=t, t=t, rho=truth["rho_m"])
 
-    def cramer_rao(events, rig, told, theta):
-        seen["bound"] = (events, rig, told.rho, len(theta))
+    def cramer_rao(events, rig, score, theta):
+        seen["bound"] = (events, rig, score.rho, len(theta))
         return BOUND
 
     monkeypatch.setattr(montecarlo, "reconstruct", reconstruct)
@@ -220,7 +220,7 @@ def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tm
     assert row.causal is None
 
 
-def test_the_daemons_observer_is_replayed_unless_it_is_not_wanted(monkeypatch):
+def test_the_live_observer_is_replayed_unless_disabled(monkeypatch):
     monkeypatch.setattr(montecarlo, "reconstruct", lambda *_: answer(**NO_SHAPE))
     monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
     row = montecarlo.run(MonteCarloTask("nominal", 1, 3.0))
@@ -229,7 +229,7 @@ def test_the_daemons_observer_is_replayed_unless_it_is_not_wanted(monkeypatch):
     assert row.causal.r_rms_m < 1e-4
 
 
-def test_a_rig_may_be_as_calibration_leaves_one(monkeypatch):
+def test_a_rig_may_have_residual_calibration_errors(monkeypatch):
     read = []
     monkeypatch.setattr(montecarlo, "reconstruct", lambda _, rig: read.append(rig) or answer(**NO_SHAPE))
     monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
@@ -283,7 +283,7 @@ def test_the_table_has_a_column_for_each_kind_and_counts_every_run():
     assert cells["live: first valid after, median (s)"] == ["1", "1"]
 
 
-def test_remarks_name_the_runs_to_look_at_and_a_wrong_one_misses_the_goal():
+def test_remarks_name_failed_runs_and_a_wrong_run_misses_the_goal():
     assert remarks(FEW) == ["nominal 1: accepted but wrong by 400 µm", "nominal 4: ValueError: no"]
     (goal,) = STUDY.goals
     assert not goal.met(FEW)

@@ -23,7 +23,7 @@ from tools.studies.object_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw,
 
 
 @pytest.mark.nightly
-def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
+def test_a_task_is_one_log_whose_truth_is_the_hull() -> None:
     (log, truth, _), (again, *_), (other, *_) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
     assert log.events == again.events
     assert log.events != other.events
@@ -31,35 +31,35 @@ def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
     assert 9e-3 < np.abs(slopes[2:] - slopes[:-2]).max() < 14e-3  # h′ jumps by the chord's length
 
 
-def test_right_wrong_and_refused_are_counted_apart() -> None:
+def test_correct_wrong_and_rejected_runs_are_counted_separately() -> None:
     kind = KINDS[0]
-    one, two = {"claimed": True, "e_h_m": 9e-5, "most_m": 2e-4}, {"claimed": True, "e_h_m": 2e-4, "most_m": 6e-4}
+    one, two = {"accepted": True, "e_h_m": 9e-5, "most_m": 2e-4}, {"accepted": True, "e_h_m": 2e-4, "most_m": 6e-4}
     rows = [
         SharpRow(kind, 0, sd_m=3e-5, touched=0.1, explained_s=9.0, took_s=4.0, **one),
         SharpRow(kind, 1, sd_m=2e-5, touched=0.2, explained_s=7.0, took_s=6.0, **two),
         SharpRow(kind, 2, reason="why", took_s=30.0),
     ]
     rough = replace(rows[1], imperfections="calibrated", sd_m=9e-5)
-    told = OFFLINE.tabled(rows).splitlines()[-1]
-    assert told.split("  ")[0] == kind
-    assert re.findall(r"(\d) of 3", told) == ["1", "0", "1", "1"]
-    assert "6.5 / 10" in told
+    last_line = OFFLINE.tabled(rows).splitlines()[-1]
+    assert last_line.split("  ")[0] == kind
+    assert re.findall(r"(\d) of 3", last_line) == ["1", "0", "1", "1"]
+    assert "6.5 / 10" in last_line
     said = object_logs.remarks(rows)
     assert ": right, 90 µm" in said[0]
     assert ": wrong, 200 µm" in said[1]
     assert said[2] == f"{kind} 2: rejected: why"
     assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
-    assert replace(rough, sd_m=6e-5).wrong  # 3.3 of them
+    assert replace(rough, sd_m=6e-5).wrong  # 3.3 sd
     assert ": in its band, 200 µm" in object_logs.remarks([rough])[0]
 
 
-def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_live_kind_is_rejected_for_logs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["things", "--offline", "--kind", "coin"]) == 1
     assert "--kind coin is only possible without --offline" in capsys.readouterr().err
 
 
-def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> None:
-    """Dry palms rub by what is dry, and the recording is what the daemon was fed, its rig as the configuration says."""
+def test_an_exploration_records_the_kinds_body_on_the_requested_rig() -> None:
+    """Dry palms have dry friction; the recording holds the observer's events and the configured rig."""
     exploring = plan("explore", default_config(), ExploreGoal(), seed=0)
     task = SharpTask("dry lump", 3, 0.4, "calibrated", exploring)
     log, truth, _ = simulated(task)
@@ -71,7 +71,7 @@ def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> N
     assert log.rig.pads[0].standoff_sd > 0.0
 
 
-def test_explored_is_a_study_of_recordings() -> None:
+def test_the_study_explored_reads_recordings() -> None:
     asked = SimpleNamespace(
         explored=True, plan=None, seconds=None, imperfections="none", kind="dry lump", seed=0, runs=2
     )
@@ -81,7 +81,7 @@ def test_explored_is_a_study_of_recordings() -> None:
         main(["things", "--explored", "--offline"])
 
 
-def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(
+def test_a_plan_is_recorded_and_one_beyond_the_limits_is_rejected_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wide = tmp_path / "wide.yaml"
@@ -91,7 +91,7 @@ def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(
 
 
 @pytest.mark.nightly
-def test_what_tips_shows_one_side_after_the_other() -> None:
-    """A nut, carried over on one palm and back on the other, shows more than half of its outline in 13 s."""
+def test_tipping_shows_several_sides() -> None:
+    """A nut, tipped over on one palm and back on the other, shows more than half of its outline in 13 s."""
     moved = simulated(SharpTask("nut", 1, 13.0, plan=load_plan(shipped("plans/tip.yaml"))))
     assert moved.shown > 0.5

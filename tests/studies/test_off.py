@@ -1,4 +1,4 @@
-"""One thing is not as described: what is off is off by what the table says, and verdicts are right."""
+"""The mis-calibration study: each rig constant deviates as its table says, and the verdicts are correct."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ from tools.studies.off import (
 )
 
 
-def test_every_constant_can_be_off_by_its_published_name_and_the_rest_stays():
+def test_each_constant_is_changed_by_its_published_name_and_the_rest_stays():
     rest = drawn(RigDescription().known_to(AS_CALIBRATED), 3)
     drawn_names = [name for name, sd in zip(RIG_NAMES, CALIBRATION_SD, strict=True) if sd > 0.0]
     for number, name in enumerate(drawn_names, 1):
@@ -36,7 +36,7 @@ def test_every_constant_can_be_off_by_its_published_name_and_the_rest_stays():
     assert with_constants(PERFECT, {}) == PERFECT
 
 
-def test_the_table_names_constants_that_there_are():
+def test_the_table_names_existing_constants():
     assert all(set(each.constants) <= set(RIG_NAMES) for each in MISCALIBRATIONS)
     assert len({each.name for each in MISCALIBRATIONS}) == len(MISCALIBRATIONS)
 
@@ -55,7 +55,7 @@ def test_verdicts():
     assert verdict(Miscalibration("batches", as_well=("pad1_lag_s",)), ("pad1_lag_s",)) == "right"
 
 
-def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
+def test_batched_readings_are_stamped_at_delivery_and_none_is_lost():
     events = [PadSample(0.001 + 0.007 * k, 1 + k % 2, 0.02 + 1e-4 * k, 1.0) for k in range(40)]
     events += [PalmSample(0.016 * k, (0.7, 1.6), (0.0, 0.0), (0.0, 0.0)) for k in range(10)]
     batched = off._in_batches(sorted(events, key=lambda event: event.t_sample), off._PACKET_S)
@@ -68,7 +68,7 @@ def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
     assert len(set(one)) == len(one), "two readings of a pad at one time would count as one"
 
 
-def test_worlds_kinds_and_seeds_take_turns():
+def test_tasks_alternate_worlds_kinds_and_seeds():
     asked = SimpleNamespace(only=["nothing"], taken_for=["exact", "calibrated"], seed=4, runs=2, seconds=9.0)
     tasks = draw(asked)
     assert [(task.taken_for, task.kind, task.seed) for task in tasks] == [
@@ -76,7 +76,7 @@ def test_worlds_kinds_and_seeds_take_turns():
     ]  # fmt: skip
 
 
-def test_what_is_claimed_too_sharply_is_told_with_its_seed():
+def test_overconfident_accepted_estimates_are_reported_with_their_seeds():
     good = MiscalibrationRow(
         "φ2 1°", "exact", "rig", 3, accepted=True, e_h_m=2e-5, h_sd_m=1e-5, z=0.5, named=("phi2_rad",),
         named_early=("phi2_rad",),
@@ -95,7 +95,7 @@ def test_what_is_claimed_too_sharply_is_told_with_its_seed():
 
 
 @pytest.mark.nightly
-def test_a_real_run_is_off_by_what_it_says():
+def test_a_real_runs_constant_deviates_as_its_row_says():
     row = off.run(MiscalibrationTask("φ2 1°", "exact", "friction", 3, 8.0))
     assert row.error == ""
     assert row.accepted

@@ -1,4 +1,4 @@
-"""Bodies of things that people have: as large, heavy and convex as they are said to be."""
+"""Bodies of everyday objects have their stated size, weight and convexity."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _points(body: Body) -> FloatArray:
 
 
 @pytest.mark.parametrize("kind", sorted(REAL_OBJECTS))
-def test_each_is_convex_closed_and_as_wide_as_it_says(kind: str) -> None:
+def test_each_is_convex_closed_and_as_wide_as_stated(kind: str) -> None:
     true = real_object(kind, np.random.default_rng(3))
     support = true.body.support
     assert (support.sample(THETA) + support.sample(THETA, 2)).min() > 0.2e-3
@@ -32,11 +32,11 @@ def test_each_is_convex_closed_and_as_wide_as_it_says(kind: str) -> None:
     )
     widths = support.sample(THETA) + support.sample(THETA + math.pi)
     if kind != "gear" and true.size_m:
-        assert widths.min() == pytest.approx(min(true.size_m), abs=0.06e-3)  # a flat bulges by half a micrometre a mm
+        assert widths.min() == pytest.approx(min(true.size_m), abs=0.06e-3)  # a flat side bulges by 0.5 µm per mm
 
 
 @pytest.mark.parametrize("kind", ["die", "coin", "L-profile"])
-def test_a_weight_moves_the_centre_of_mass_and_the_inertia_with_it(kind: str) -> None:
+def test_a_weight_moves_the_centre_of_mass_and_changes_the_inertia(kind: str) -> None:
     plain, weighted = (real_object(kind, np.random.default_rng(4), off) for off in (0.0, 1e-3))
     difference = weighted.body.support.sample(THETA) - plain.body.support.sample(THETA)
     assert difference.max() == pytest.approx(1e-3, rel=1e-4)
@@ -44,10 +44,10 @@ def test_a_weight_moves_the_centre_of_mass_and_the_inertia_with_it(kind: str) ->
     assert weighted.body.rho < plain.body.rho
 
 
-def test_the_inertia_of_an_angle_profile_is_its_own_not_its_hulls() -> None:
+def test_the_inertia_of_an_angle_profile_is_not_its_hulls() -> None:
     body = real_object("L-profile", np.random.default_rng(5)).body
     leg = max(body.support.sample(THETA) + body.support.sample(THETA + math.pi)) / math.sqrt(2.0)
-    assert body.support.sample(THETA).min() > 0.0  # its centre of mass is in the hull
+    assert body.support.sample(THETA).min() > 0.0  # the centre of mass is inside the hull
     corner = _points(body)[:, int(np.argmin(np.abs(THETA - 1.25 * math.pi)))]
     assert np.hypot(*corner) > 0.25 * leg  # and nearer to the corner than the hull's centroid
     assert 0.3 * leg < body.rho < 0.45 * leg

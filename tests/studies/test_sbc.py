@@ -1,4 +1,4 @@
-"""Simulation-based calibration: statistics with known answers, what a run is told as, files that are gone on with."""
+"""Simulation-based calibration: statistics with known results, the row of a run, resumed files."""
 
 import json
 import math
@@ -45,72 +45,72 @@ RIG = len(RIG_NAMES)
 # ------------------------------------------------------------------------------------------------ statistics
 
 
-def test_z_of_even_ranks_are_uniform_to_half_a_step():
-    told = Uniformity.of(EVEN)
-    assert told.distance == pytest.approx(0.5 / 1000)
-    assert (told.runs, told.mean, told.sd) == (1000, pytest.approx(0.0, abs=1e-12), pytest.approx(1.0, abs=0.01))
-    assert told.within == pytest.approx((0.683, 0.954, 0.997), abs=0.0011)
-    assert told.p > 0.999
+def test_z_of_evenly_spaced_ranks_is_uniform_to_half_a_step():
+    result = Uniformity.of(EVEN)
+    assert result.distance == pytest.approx(0.5 / 1000)
+    assert (result.runs, result.mean, result.sd) == (1000, pytest.approx(0.0, abs=1e-12), pytest.approx(1.0, abs=0.01))
+    assert result.within == pytest.approx((0.683, 0.954, 0.997), abs=0.0011)
+    assert result.p > 0.999
 
 
-def claimed(z, seed=0, **changes):
+def accepted_row(z, seed=0, **changes):
     return SbcRow(
         "rig", seed, 10.0, converged=True, rig_distance2=15.0, beliefs={"mu": MarginalPosterior(z, 0.0, 1.0)}, **changes
     )
 
 
 def study(z):
-    """Of as many posteriors about 0 of one-sigma 1, with these truths."""
-    return uniformities([claimed(float(each), seed) for seed, each in enumerate(z)])
+    """Statistics of posteriors about 0 with 1σ of 1, one for each of these truths."""
+    return uniformities([accepted_row(float(each), seed) for seed, each in enumerate(z)])
 
 
 @pytest.mark.parametrize(
     ("z", "expected"),
     [(EVEN, []), (EVEN / 0.8, ["mu"]), (EVEN * 0.8, ["mu"]), (EVEN + 0.2, ["mu"])],
-    ids=["right", "too sure by a quarter", "too unsure", "biased by a fifth"],
+    ids=["correct", "1σ a quarter too small", "1σ too large", "biased by a fifth"],
 )
-def test_only_right_bands_have_uniform_ranks(z, expected):
+def test_only_correct_standard_deviations_give_uniform_ranks(z, expected):
     assert crooked({"mu": study(z)["mu"]}) == expected
 
 
-def test_the_rigs_constants_are_told_together_too():
+def test_the_rigs_constants_are_tested_together_too():
     random = np.random.default_rng(5)
     distances = np.sum(random.standard_normal((2000, len(CONSTANTS))) ** 2, axis=1)
     for scale, right in ((1.0, True), (1.1**2, False)):
         rows = [SbcRow("rig", i, 10.0, converged=True, rig_distance2=d * scale) for i, d in enumerate(distances)]
-        told = uniformities(rows)
-        assert (TOGETHER not in crooked(told)) == right
-    assert told[TOGETHER].mean > 0.2
+        result = uniformities(rows)
+        assert (TOGETHER not in crooked(result)) == right
+    assert result[TOGETHER].mean > 0.2
 
 
-def test_refused_runs_and_what_is_no_number_do_not_count():
+def test_rejected_runs_and_missing_values_do_not_count():
     rows = [
-        claimed(0.5),
-        claimed(math.nan, 1),
+        accepted_row(0.5),
+        accepted_row(math.nan, 1),
         SbcRow("rig", 2, 10.0, beliefs={"mu": MarginalPosterior(9.0, 0.0, 1.0)}),
     ]
     assert uniformities(rows)["mu"].runs == 1
 
 
-def test_what_a_claim_is_wrong_by():
-    assert not far(claimed(5.9, worst_z=5.9))
-    assert far(claimed(-6.1)) == ["mu"]
-    assert far(claimed(0.0, worst_z=6.1)) == ["a touched normal"]
-    assert (wrong(claimed(0.0, beyond_m=3.1e-4)), wrong(claimed(0.0, beyond_m=2.9e-4))) == (True, False)
+def test_errors_that_make_an_accepted_estimate_wrong():
+    assert not far(accepted_row(5.9, worst_z=5.9))
+    assert far(accepted_row(-6.1)) == ["mu"]
+    assert far(accepted_row(0.0, worst_z=6.1)) == ["a touched normal"]
+    assert (wrong(accepted_row(0.0, beyond_m=3.1e-4)), wrong(accepted_row(0.0, beyond_m=2.9e-4))) == (True, False)
 
 
-def test_a_count_tells_how_often_it_may_be():
+def test_a_count_gives_its_upper_confidence_limit():
     assert at_most(0, 300) == pytest.approx(1 - 0.05 ** (1 / 300))
     assert at_most(2, 10) == pytest.approx(0.5069, abs=1e-4)  # Clopper and Pearson's table
     assert at_most(4, 4) == 1.0
 
 
-def test_the_report_tells_seeds_claims_and_what_to_look_at():
-    rows = [claimed(float(z), seed, worst_z=1.0, beyond_m=0.0) for seed, z in enumerate(EVEN)]
+def test_the_report_gives_seeds_counts_and_suspicious_runs():
+    rows = [accepted_row(float(z), seed, worst_z=1.0, beyond_m=0.0) for seed, z in enumerate(EVEN)]
     rows += [
         SbcRow("rig", 1001, 10.0, reason="too little"),
         SbcRow("rig", 1002, 10.0, error="ValueError: no ground"),
-        claimed(7.0, 1003, beyond_m=4e-4, contradicted={"phi2_rad": 4.7}),
+        accepted_row(7.0, 1003, beyond_m=4e-4, contradicted={"phi2_rad": 4.7}),
     ]
     text = report(rows)
     assert "rig: seeds 0–999, 1001–1003\n" in text
@@ -129,24 +129,24 @@ def test_the_report_tells_seeds_claims_and_what_to_look_at():
     assert not line.endswith("not uniform")
 
 
-def test_all_kinds_are_told_together_where_there_are_several():
+def test_several_kinds_are_also_reported_together():
     rows = [
         SbcRow("nominal", seed, 10.0, converged=True, beliefs={"mu": MarginalPosterior(0.5, 0.0, 1.0)})
         for seed in (1, 2)
     ]
     assert "all kinds" not in report(rows)
-    assert "all kinds: seeds 1–3\n  accepted: 3 of 3\n" in report([*rows, claimed(0.1, 3)])
+    assert "all kinds: seeds 1–3\n  accepted: 3 of 3\n" in report([*rows, accepted_row(0.1, 3)])
 
 
-def test_imperfections_are_drawn_from_what_reconstruct_believes():
-    """Of constants that no motion tells the ranks are uniform only then."""
+def test_imperfections_are_drawn_from_the_priors_of_reconstruct():
+    """Ranks of unobservable constants are uniform only in this case."""
     rig = RigDescription().known_to(AS_CALIBRATED)
     true = [drawn(rig, 1, seed).constants() for seed in range(3000)]
     z = np.array([[each[name] for name in CONSTANTS] for each in true]) / prior_sds(rig)[DRAWN]
     assert crooked({name: Uniformity.of(column) for name, column in zip(CONSTANTS, z.T, strict=True)}) == []
 
 
-def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruct_believes():
+def test_friction_and_motion_of_an_object_are_drawn_from_the_priors_of_reconstruct():
     drawn = [sbc.drawn_from_prior("friction", seed) for seed in range(400)]
     z = {
         "rho": [
@@ -158,7 +158,7 @@ def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruc
     assert crooked({name: Uniformity.of(np.array(each)) for name, each in z.items()}) == []
     friction = np.array([surface.mu for _, surface in drawn])
     assert friction.min() > 0.0
-    assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without what is negative
+    assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without its negative part
     assert sbc.drawn_from_prior("nominal", 1)[1] is None
     assert sbc.drawn_from_prior("rig", 1)[0] == sbc.drawn_from_prior("rig", 1)[0]
 
@@ -166,7 +166,7 @@ def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruc
 # ------------------------------------------------------------------------------------------------------ runs
 
 
-def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
+def test_a_perfect_answer_agrees_with_the_truth_in_any_gauge():
     row = row_of(TASK, simulator_truth(), answer())
     assert (row.kind, row.seed, row.seconds) == (TASK.kind, TASK.seed, TASK.seconds)
     assert row.converged
@@ -177,22 +177,24 @@ def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
     assert max(abs(belief.z) for belief in row.beliefs.values()) < 1e-2
 
 
-def test_a_wrong_part_of_the_outline_that_fits_by_a_turn_is_wrong():
-    """The score looks for the best rotation of all; what ψ says of the motion is part of what is believed."""
+def test_an_outline_part_that_fits_only_after_a_rotation_is_wrong():
+    """The score finds the best rotation of the whole; the part contradicts the estimated ψ."""
     row = row_of(TASK, simulator_truth(), answer(h=support(THETA + 1.0), psi=answer().psi))
     assert row.best_e_h_m < 1e-8
     assert row.e_h_m > 1e-5
     assert far(row)
 
 
-def test_a_small_turn_of_the_whole_is_no_error():
+def test_a_small_rotation_of_the_whole_outline_is_no_error():
     turned = support(THETA + 0.7 + 1e-3)
     assert np.abs(turned - support(THETA + 0.7)).max() > 1e-6
     assert np.abs(gauge_free_error(THETA, turned, support(THETA), 0.7, THETA < 2.0)).max() < 5e-9
 
 
-def test_the_errors_one_sigma_is_what_reconstruct_says():
-    """Of outlines off by a column of a covariance's root: the band is `observer.outline`'s, the error this study's."""
+def test_the_errors_standard_deviation_is_that_of_reconstruct():
+    """Outlines with an error along one column of the covariance's root: band by `observer.outline`, error by this
+    study.
+    """
     order, random = 5, np.random.default_rng(2)
     mean = np.array([0.02, 0.0, 0.0, 8e-4, 2e-4, 3e-4, 1e-4, 5e-5, 4e-5, 3e-5, 2e-5])
     root = 1e-6 * random.standard_normal((len(mean), len(mean)))
@@ -203,7 +205,7 @@ def test_the_errors_one_sigma_is_what_reconstruct_says():
     np.testing.assert_allclose(np.sqrt((off**2).sum(axis=0)) / h_sd, 1.0, atol=0.01)
 
 
-def test_z_of_known_size():
+def test_known_z_are_measured():
     wave = 4e-5 * np.cos(24 * THETA)
     off = answer(
         h=support(THETA + 0.7) + wave, rho=0.013, mu=0.25, mass=0.098, psi=answer().psi + 2e-3 * answer().t,
@@ -223,7 +225,7 @@ def test_z_of_known_size():
     assert row.contradicted == {"phi2_rad": 5.0}
 
 
-def test_normals_are_asked_where_they_were_touched_and_elsewhere():
+def test_touched_and_untouched_normals_are_both_scored():
     row = row_of(TASK, simulator_truth(), answer(h_sd=np.where(THETA < 2.0, 1e-5, 1e-3)))
     sds = {
         name: {b.sd for key, b in row.beliefs.items() if key.startswith(f"h_{name}_")}
@@ -232,13 +234,13 @@ def test_normals_are_asked_where_they_were_touched_and_elsewhere():
     assert sds == {"touched": {1e-5}, "untouched": {1e-3}}
 
 
-def test_where_there_is_no_friction_or_no_outline_none_is_asked_for():
+def test_without_friction_or_outline_there_is_no_score_of_it():
     assert "mu" not in row_of(TASK, simulator_truth(mu=0.0, dither_m_s=None), answer()).beliefs
     row = row_of(TASK, simulator_truth(), answer(**NO_SHAPE, reason="too little"))
     assert (row.converged, row.reason, row.beliefs) == (False, "too little", {})
 
 
-def test_a_line_tells_the_whole_row():
+def test_a_line_holds_the_whole_row():
     for row in (
         row_of(TASK, simulator_truth(), answer(turned_sd=math.nan)),
         sbc.SbcRow("rig", 3, 10.0, error="ValueError: no ground"),
@@ -249,22 +251,20 @@ def test_a_line_tells_the_whole_row():
 
 @pytest.mark.nightly
 def test_a_small_study_of_real_runs():
-    """Too few for ranks of one quantity; but a wrong sign, unit or order, or bands a third too narrow, are far off."""
+    """Too small for ranks of one quantity, but a wrong sign, unit or order, or 1σ a third too small, are found."""
     rows = [sbc.run(SbcTask(kind, seed, 4.0)) for kind in ("friction", "rig") for seed in (5, 6, 7)]
     assert [row.error for row in rows] == [""] * len(rows)
-    claimed = [row for row in rows if row.converged]
-    assert len(claimed) >= 5
+    accepted = [row for row in rows if row.converged]
+    assert len(accepted) >= 5
     prior_sd = prior_sds(RigDescription().known_to(AS_CALIBRATED))[DRAWN]
-    for row in claimed:
+    for row in accepted:
         assert far(row, 4.0) == []
         assert not row.contradicted
         true, sd = ([getattr(row.beliefs[name], what) for name in CONSTANTS] for what in ("true", "sd"))
         assert (np.abs(true) > 0.0).all()
         assert (np.abs(true) <= 3.0 * math.sqrt(2.0) * prior_sd).all()
-        wider = (
-            np.array(sd) > 1.01 * prior_sd
-        )  # by a doubt about the rig alone, which is in its bands: of few constants
+        wider = np.array(sd) > 1.01 * prior_sd  # a rig constant inflates its own bands: one of few constants
         assert wider.mean() < 0.25
         assert (np.array(sd) <= 1.5 * prior_sd).all()
-    together = stats.chi2(len(CONSTANTS) * len(claimed))
-    assert together.ppf(1e-3) < sum(row.rig_distance2 for row in claimed) < together.ppf(1.0 - 1e-3)
+    together = stats.chi2(len(CONSTANTS) * len(accepted))
+    assert together.ppf(1e-3) < sum(row.rig_distance2 for row in accepted) < together.ppf(1.0 - 1e-3)

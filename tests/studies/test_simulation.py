@@ -1,4 +1,4 @@
-"""The simulation: the same seed the same bits, found seeds, and every invariant seen broken by breaking the daemon."""
+"""The simulation repeats by seed, former failures stay fixed, and breaking the daemon breaks every invariant."""
 
 import argparse
 import dataclasses
@@ -27,32 +27,41 @@ from tools.studies import simulate as study
 from tools.studies.simulate import shrunk
 from tools.studies.simulation import watch
 from tools.studies.simulation.causes import CAUSES, Cause, causes
-from tools.studies.simulation.happenings import CALM_S, LEASES_S, Broken, Scenario, Told, Trick, coarsened, drawn
+from tools.studies.simulation.happenings import (
+    CALM_S,
+    LEASES_S,
+    Broken,
+    ClientRequest,
+    Scenario,
+    Trick,
+    coarsened,
+    drawn,
+)
 from tools.studies.simulation.light_observer import LightObserver
 from tools.studies.simulation.run import Simulation, configured, quiet, simulate
 from tools.studies.simulation.watch import Watch
 
 
-def test_what_is_said_of_a_lease_that_ends_is_over_before_the_run_is():
+def test_every_declared_lease_ends_before_the_run_does():
     longest = max(lease for lease in LEASES_S if lease <= LEASE_MAX_S)
     assert longest + supervisor.LOST_REPORTED_S < CALM_S
 
 
 FOUND = {
-    2751: "a fault that told rightly that the object had been thrown off where nothing can be put back",
-    36: "autostart armed by itself after somebody had reset a fault",
-    622893574616116801: "a set-point on its way back to a blocked arm that made up for the lateness of the one before",
-    253: "a start whose plan was still being compiled began to move after a hold that came later",
+    2751: "a correct fault: the object had been thrown off, and it could not be put back",
+    36: "autostart armed by itself after a client's reset",
+    622893574616116801: "a set-point towards a blocked arm that compensated for the delay of the previous one",
+    253: "a start whose plan was still being compiled moved after a later hold",
 }
-"""Seeds that broke an invariant once, and what they found."""
+"""Seeds that once broke an invariant, and the defect they found."""
 
 STOPPED = 255
-"""A seed whose object was lost by a stop: the palms were told to stand while they still turned."""
+"""A seed that once lost its object by a stop: the palms were commanded to stand while they still turned."""
 FRESH_S = 20.0
 
 
-def told(t, command, client=0, **args):
-    return Told(t, client, msgpack.packb({"id": round(t * 1e3), "cmd": command, "args": args}))
+def client_request(t, command, client=0, **args):
+    return ClientRequest(t, client, msgpack.packb({"id": round(t * 1e3), "cmd": command, "args": args}))
 
 
 def scenario(*happenings, **others):
@@ -72,7 +81,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_does_not(untroubled):
     assert first.digest != untroubled.digest
 
 
-def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning(untroubled):
+def test_an_undisturbed_run_has_only_its_start_up_fault(untroubled):
     assert untroubled.breach is None
     graver = {name for name in untroubled.sometimes if name in CAUSES}
     assert not graver - {"pad1-untouched", "pad2-untouched", "arm-mute"}
@@ -81,17 +90,17 @@ def test_a_run_without_trouble_has_no_fault_but_that_of_its_beginning(untroubled
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", FOUND)
-def test_what_was_found_once_stays_mended(seed):
+def test_former_failures_stay_fixed(seed):
     assert simulate(drawn(seed)).breach is None
 
 
-def test_a_slow_loop_takes_no_packet_for_damage_that_was_cut_when_its_daemon_began():
+def test_a_packet_cut_at_the_daemons_start_is_not_counted_as_damage():
     run = dataclasses.replace(coarsened(drawn(903)), rate_hz=25.0, trouble_s=7.0, calm_s=0.0)
     assert simulate(run.keeping(range(11))).breach is None
 
 
-def test_a_stop_in_mid_motion_tells_no_rate_that_is_not_so(monkeypatch):
-    simulation = Simulation(scenario(*(told(t, "stop") for t in np.arange(3.0, 8.0, 0.71))))
+def test_rates_are_correct_during_a_stop_in_mid_motion(monkeypatch):
+    simulation = Simulation(scenario(*(client_request(t, "stop") for t in np.arange(3.0, 8.0, 0.71))))
     reports = []
     monkeypatch.setattr(LightObserver, "feed", lambda _, event: reports.append(event))
     fastest, off = 0.0, []
@@ -109,8 +118,8 @@ def test_a_stop_in_mid_motion_tells_no_rate_that_is_not_so(monkeypatch):
     assert max(off) < math.radians(8.0)
 
 
-def test_palms_that_have_stopped_are_told_to_stand_as_soon_as_two_reports_agree(monkeypatch):
-    simulation = Simulation(scenario(told(7.0, "stop"), eager_s=2.0))
+def test_palms_stand_as_soon_as_two_reports_agree_after_a_stop(monkeypatch):
+    simulation = Simulation(scenario(client_request(7.0, "stop"), eager_s=2.0))
     reports = []
     monkeypatch.setattr(LightObserver, "feed", lambda _, event: reports.append(event))
     with quiet():
@@ -125,8 +134,8 @@ def test_palms_that_have_stopped_are_told_to_stand_as_soon_as_two_reports_agree(
 
 
 @pytest.mark.nightly
-def test_a_stop_in_mid_motion_leaves_the_estimate_right():
-    simulation = Simulation(scenario(told(4.0, "stop"), seed=STOPPED, thorough=True))
+def test_the_estimate_stays_correct_after_a_stop_in_mid_motion():
+    simulation = Simulation(scenario(client_request(4.0, "stop"), seed=STOPPED, thorough=True))
     with quiet():
         while simulation.machine.clock.now < 6.0 and simulation.watch.breach is None:
             simulation.step()
@@ -136,8 +145,8 @@ def test_a_stop_in_mid_motion_leaves_the_estimate_right():
 
 
 @pytest.mark.nightly
-def test_seeds_that_nobody_has_tried_hold():
-    """For a while, in every run of the tests; a failure is repeated by the command that is told."""
+def test_fresh_seeds_keep_all_invariants():
+    """Tries fresh seeds for a while; the message of a failure has the command that repeats it."""
     begun = time.process_time()
     first = secrets.randbelow(study.SEEDS_MOST)
     for seed in range(first, first + 1000):
@@ -149,9 +158,9 @@ def test_seeds_that_nobody_has_tried_hold():
 
 @pytest.mark.nightly
 def test_a_flood_of_commands_costs_no_tick_and_no_set_point(monkeypatch):
-    """20,000 commands a second from four clients for two seconds: by the ticks' and the set-points' own count."""
-    flood = tuple(told(4.0 + number * 50e-6, "status", number % 4) for number in range(40_000))
-    monkeypatch.setattr(watch, "ANSWER_S", math.inf)  # most wait in the socket, as they would
+    """20,000 commands a second from four clients for 2 s; counts ticks and set-points."""
+    flood = tuple(client_request(4.0 + number * 50e-6, "status", number % 4) for number in range(40_000))
+    monkeypatch.setattr(watch, "ANSWER_S", math.inf)  # most requests wait in the socket, as intended
     calm, flooded = Simulation(scenario()), Simulation(scenario(*flood))
     counted = []
     for simulation in (calm, flooded):
@@ -166,7 +175,7 @@ def test_a_flood_of_commands_costs_no_tick_and_no_set_point(monkeypatch):
     assert flooded.watch.sometimes["status granted"] <= 4 * 260
 
 
-# ---- every invariant is broken once, by the daemon broken on purpose
+# ---- each invariant is broken once by a deliberately broken daemon
 
 
 def no_rate_limit(monkeypatch):
@@ -193,7 +202,7 @@ def outside_the_limits(monkeypatch):
     monkeypatch.setattr(SetPoints, "target", bad)
 
 
-def deaf_to_stop(monkeypatch):
+def stop_ignored(monkeypatch):
     monkeypatch.setattr(Supervisor, "_stand_down", lambda *_: None)
     monkeypatch.setattr(Supervisor, "_enforce", lambda *_: None)
 
@@ -231,7 +240,7 @@ def state_without_cause(monkeypatch):
     monkeypatch.setattr(Core, "_state_fields", lambda self, t: good(self, t) | {"cause": None})
 
 
-def fault_out_of_nothing(monkeypatch):
+def fault_without_cause(monkeypatch):
     good = ArmDiagnostics.conditions
 
     def bad(self, arm, t, commanded, look):
@@ -289,8 +298,8 @@ def everything_kept(monkeypatch):
     monkeypatch.setattr(Supervisor, "update", bad)
 
 
-def nothing_stops_it(monkeypatch):
-    monkeypatch.setattr(watch, "STILL_M", math.inf)  # so that the set-points themselves do not tell
+def stop_faults_do_not_stop(monkeypatch):
+    monkeypatch.setattr(watch, "STILL_M", math.inf)  # so that no invariant of set-points fires first
     hold_fault_forgotten(monkeypatch)
 
 
@@ -305,23 +314,23 @@ BREAK = Trick(4.0, "break", "arm", 1.0, 0.5)
     [
         (no_rate_limit, (), "set-points within the rate"),
         (outside_the_limits, (), "set-points inside the limits"),
-        (deaf_to_stop, (told(4.0, "stop"),), "no set-point unless armed"),
+        (stop_ignored, (client_request(4.0, "stop"),), "no set-point unless armed"),
         (stop_fault_forgotten, (Broken(4.0, "raises", 0.5),), "a stop fault ends tracking"),
-        (hold_fault_forgotten, (LIFT,), "no motion unless told to move"),
-        (nothing_stops_it, (LIFT,), "a stop comes to a standstill"),
-        (no_answer_to_hold, (told(4.0, "hold"),), "every command is answered"),
+        (hold_fault_forgotten, (LIFT,), "no motion unless commanded"),
+        (stop_faults_do_not_stop, (LIFT,), "a stop comes to a standstill"),
+        (no_answer_to_hold, (client_request(4.0, "hold"),), "every command is answered"),
         (two_answers, (), "one answer to one command"),
         (bytes_uncounted, (GARBLE,), "the counters balance"),
         (state_without_cause, (), "no message malformed"),
-        (fault_out_of_nothing, (), "every fault has a cause"),
+        (fault_without_cause, (), "every fault has a cause"),
         (reset_forgotten, (ESTOP,), "a fault ends with its cause"),
         (never_ready_again, (BREAK,), "a fault ends with its cause"),
-        (armed_again_by_itself, (told(5.0, "stop"),), "no set-point unless armed"),
-        (started_by_itself, (told(4.5, "hold"),), "no motion unless told to move"),
+        (armed_again_by_itself, (client_request(5.0, "stop"),), "no set-point unless armed"),
+        (started_by_itself, (client_request(4.5, "hold"),), "no motion unless commanded"),
         (everything_kept, (), "memory is bounded"),
     ],
 )
-def test_a_broken_daemon_is_found_out(monkeypatch, sabotage, happenings, broken):
+def test_each_broken_daemon_breaks_its_invariant(monkeypatch, sabotage, happenings, broken):
     run = scenario(*happenings)
     sabotage(monkeypatch)
     outcome = simulate(run)
@@ -329,7 +338,7 @@ def test_a_broken_daemon_is_found_out(monkeypatch, sabotage, happenings, broken)
     assert outcome.breach.name == broken
 
 
-def test_a_valid_estimate_that_is_wrong_is_found_out():
+def test_a_wrong_valid_estimate_is_found():
     looker = Watch(configured(False), (), SimpleNamespace(baud=38400), autostart=False)
     said = SimpleNamespace(valid=True, r1=0.021, r2=0.02, omega0=0.0, sd={"r1": 1e-5, "r2": 1e-5, "omega0": 0.1})
     looker.compare(SimpleNamespace(estimate=said), {"r1_m": 0.0209, "r2_m": 0.02, "omega0_rad_s": 0.0}, 5.0)
@@ -340,17 +349,17 @@ def test_a_valid_estimate_that_is_wrong_is_found_out():
 
 
 @pytest.mark.parametrize(("code", "since_s"), [("estimate-inconsistent", 5.0), ("arm-late", 3.0)])
-def test_a_cause_lingers_until_what_is_told_begins_not_until_it_has_lasted_long_enough_to_be_told(code, since_s):
-    """Seed 1151: readings that missed for the two seconds that it takes to say so, their cause long over by then."""
+def test_a_cause_lingers_until_the_faults_condition_begins(code, since_s):
+    """Seed 1151: readings were outliers for the 2 s that the fault takes to report; their cause was over by then."""
     looker = Watch(configured(False), [Cause("drop@arm", 9.9, 10.0)], SimpleNamespace(baud=38400), autostart=False)
     assert looker._has_cause(code, 10.0 + since_s - 0.01)
     assert not looker._has_cause(code, 10.0 + since_s + 0.01)
 
 
-# ---- what goes with it
+# ---- tools around the simulation
 
 
-def test_shrinking_leaves_only_what_matters():
+def test_shrinking_leaves_only_the_events_that_matter():
     asked = []
 
     def breaks(kept):
@@ -362,26 +371,26 @@ def test_shrinking_leaves_only_what_matters():
     assert shrunk([1, 2, 3], lambda *_: True) == []
 
 
-def test_a_part_of_a_seeds_happenings_is_the_same_as_in_the_whole():
+def test_a_subset_of_a_seeds_events_is_unchanged():
     whole = drawn(5)
     part = whole.keeping((2, 0, 2, 10_000))
     assert part.kept == (0, 2)
     assert part.happenings == (whole.happenings[0], whole.happenings[2])
 
 
-def test_every_cause_is_one_that_may_happen():
+def test_every_cause_can_occur():
     may = {cause.name for seed in range(300) for cause in causes(drawn(seed).happenings)}
-    assert {name for names in CAUSES.values() for name in names} <= may | {"left"}  # the body, by itself
+    assert {name for names in CAUSES.values() for name in names} <= may | {"left"}  # the body falls off by itself
 
 
 def asked(seeds):
-    """The command's arguments, as they are by default."""
+    """The command's default arguments."""
     parser = argparse.ArgumentParser()
     study.add_arguments(parser)
     return parser.parse_args(["--seeds", f"{seeds[0]}..{seeds[-1]}"])
 
 
-def test_a_study_that_is_interrupted_tells_what_it_has(monkeypatch, capsys, untroubled):
+def test_an_interrupted_study_reports_its_results_so_far(monkeypatch, capsys, untroubled):
     def until_ctrl_c(each):
         if each.seed == 4:
             raise KeyboardInterrupt
@@ -392,7 +401,7 @@ def test_a_study_that_is_interrupted_tells_what_it_has(monkeypatch, capsys, untr
     assert "2 runs, 0.01 simulated hours, 0 with a broken invariant" in capsys.readouterr().out
 
 
-def test_seeds_may_be_shared_out_among_processes(monkeypatch):
+def test_seeds_are_distributed_among_processes(monkeypatch):
     monkeypatch.setattr(study, "simulate", lambda each: SimpleNamespace(scenario=each))
     monkeypatch.setattr(study.runs, "local", ThreadPoolExecutor)
     arguments = SimpleNamespace(jobs=3, keep=None, coarse=True, rate=25.0)
@@ -409,9 +418,14 @@ def test_seeds_may_be_shared_out_among_processes(monkeypatch):
 
 
 @pytest.mark.nightly
-def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
-    deaf_to_stop(monkeypatch)
-    few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
+def test_a_failure_is_reported_with_the_command_that_repeats_it(monkeypatch, capsys):
+    stop_ignored(monkeypatch)
+    few = scenario(
+        client_request(3.0, "status"),
+        client_request(3.5, "hold"),
+        client_request(4.0, "stop"),
+        client_request(4.1, "note", text="here"),
+    )
     monkeypatch.setattr(study, "drawn", lambda _seed: few)
     arguments = asked(range(2, 3))
     assert study.conduct(arguments) == 1

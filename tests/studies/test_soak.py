@@ -1,4 +1,4 @@
-"""A soak's judges: each passes what is sound, and sees the one thing that it is there for."""
+"""Each check of a soak passes sound data and finds its one defect."""
 
 import math
 
@@ -38,7 +38,7 @@ def missed(findings):
 # ------------------------------------------------------------------------------------------------------ findings
 
 
-def test_a_missed_goal_is_missed_and_an_unjudged_one_is_not():
+def test_only_judged_goals_can_be_missed():
     met, none = between("g", "x", 0, 0, 0), without_goal("g", "y", 3.0)
     assert all_met([met, none])
     assert not all_met([])
@@ -59,31 +59,31 @@ def process(mb_per_hour=0.0, descriptors_at_end=12, warm_up_mb=30.0, seconds=HOU
     return ProcessSeries((t + 50.0).tolist(), rss.tolist(), descriptors.tolist(), [3] * t.size)
 
 
-def test_a_slow_leak_is_seen_through_the_noise():
+def test_a_slow_leak_is_found_in_noise():
     findings = leaks({"daemon": process(mb_per_hour=2.0), "page": process()}, 50.0, HOUR_S)
     assert missed(findings) == {"daemon memory"}
     assert findings[0].value == pytest.approx(2.0, abs=0.3)
 
 
-def test_descriptors_and_threads_that_become_more_are_seen():
+def test_increasing_descriptors_and_threads_are_found():
     leaking = process(descriptors_at_end=13)
     leaking.threads[-300:] = [4] * 300
     assert missed(leaks({"daemon": leaking}, 50.0, HOUR_S)) == {"daemon descriptors", "daemon threads"}
 
 
-def test_memory_of_the_warm_up_and_descriptors_that_come_and_go_are_no_leak():
+def test_warm_up_memory_and_temporary_descriptors_are_no_leak():
     busy = process()
     busy.descriptors[::3] = [20] * len(busy.descriptors[::3])
     assert missed(leaks({"daemon": process(), "page": busy}, 50.0, HOUR_S)) == set()
 
 
-def test_a_short_soak_judges_no_slope():
+def test_the_slope_of_a_short_soak_is_not_judged():
     findings = leaks({"daemon": process(mb_per_hour=100.0, seconds=600.0)}, 50.0, 600.0)
     assert findings[0].met is None
     assert findings[0].value > 50.0
 
 
-def test_the_slope_is_that_of_the_line_whatever_lies_off_it():
+def test_the_slope_is_robust_against_outliers():
     t = np.arange(1000.0)
     values = 3.0 + 0.5 * t
     values[::10] += 1e6
@@ -111,26 +111,26 @@ def test_a_punctual_hour_meets_every_goal():
     assert len(minutes(seconds_of())) == 59
 
 
-def test_too_many_missed_ticks_are_seen_and_35_of_an_hour_are_not():
+def test_too_many_missed_ticks_are_found_and_35_per_hour_are_allowed():
     allowed = dict.fromkeys(range(105, 3600, 100), 1)
     assert missed(punctuality(seconds_of(missed_in=allowed))) == set()
     assert missed(punctuality(seconds_of(missed_in=allowed | {7: 2}))) == {"missed ticks"}
 
 
-def test_a_storm_is_seen_even_where_the_total_is_small():
+def test_a_run_of_misses_is_found_even_if_the_total_is_small():
     assert missed(punctuality(seconds_of(missed_in={5: 1, 6: 1, 7: 1}))) == {"longest run of seconds with misses"}
     assert missed(punctuality(seconds_of(missed_in={400: 31}))) == {"worst minute's misses"}
 
 
-def test_a_drift_is_seen():
+def test_a_drift_is_found():
     assert missed(punctuality(seconds_of(drift_ms_h=0.3))) == {"drift of the median"}
 
 
-def test_without_real_time_priority_nothing_is_judged():
+def test_without_real_time_priority_lateness_is_not_judged():
     assert all(one.met is None for one in punctuality(seconds_of(missed_in={5: 99, 6: 9, 7: 9}), goal=False))
 
 
-def test_a_daemon_that_was_not_heard_has_missed_its_goal():
+def test_a_silent_daemon_misses_the_goal():
     assert missed(punctuality([])) == {"missed ticks"}
 
 
@@ -141,7 +141,7 @@ def survey(first=0, count=100, missing=0):
     return {"palm/state": Survey(count, first, missing, 0, 1)}
 
 
-def test_a_recording_without_gaps_over_two_files():
+def test_a_recording_without_gaps_in_two_files_meets_every_goal():
     heard = {"palm/state": Numbers(3, 149)}
     assert missed(recorded([survey(), survey(100, 50)], heard, 150)) == set()
 
@@ -156,16 +156,16 @@ def test_a_recording_without_gaps_over_two_files():
         ([], 3, 0),
     ],
 )
-def test_gaps_are_seen_wherever_they_are(surveys, last, published):
+def test_gaps_are_found_anywhere(surveys, last, published):
     assert "topics with gaps" in missed(recorded(surveys, {"palm/state": Numbers(0, last)}, published))
 
 
-def test_messages_that_were_published_and_not_recorded_are_seen():
+def test_published_but_unrecorded_messages_are_found():
     heard = {"palm/state": Numbers(0, 99)}
     assert missed(recorded([survey()], heard, 101)) == {"messages published and not recorded"}
 
 
-def test_a_replay_that_differs_or_is_empty_is_seen():
+def test_a_replay_that_differs_or_is_empty_is_found():
     same = CheckedTick(0, ())
     assert missed(replayed([same, same])) == set()
     other = CheckedTick(1, (Difference(1, "psi_rad", 1.0, 2.0, 1.0),))
@@ -173,17 +173,17 @@ def test_a_replay_that_differs_or_is_empty_is_seen():
     assert missed(replayed([])) == {"ticks replayed"}
 
 
-# -------------------------------------------------------------------------------------------------------- the rest
+# -------------------------------------------------------------------------------------------------------- others
 
 
-def test_the_same_seed_draws_the_same_and_another_one_another():
+def test_draws_repeat_by_seed_and_differ_between_seeds():
     first, again, other = (draw(np.random.default_rng(seed), HOUR_S) for seed in (1, 1, 2))
     assert first == again != other
     assert all(doing.t_s + doing.act.for_s <= HOUR_S - QUIET_S for doing in first)
     assert [doing.t_s for doing in first] == sorted(doing.t_s for doing in first)
 
 
-def test_an_hour_has_every_trick_on_every_port_and_every_visitor():
+def test_an_hour_has_every_injection_on_every_port_and_every_client():
     acts = [doing.act for doing in draw(np.random.default_rng(1), 10 * HOUR_S)]
     drawn = {(act.name, act.port) for act in acts if isinstance(act, InjectedFault)}
     assert drawn == {(name, port) for name, trick in INJECTABLE_FAULTS.items() for port in trick.ports or (None,)}
@@ -196,7 +196,7 @@ class Heard:
         self.topic, self.fields = topic, {"mono_ns": round(t * 1e9), "seq": seq} | fields
 
 
-def test_the_watch_sees_gaps_and_keeps_the_last_state_and_samples():
+def test_the_watch_counts_gaps_and_keeps_the_last_state_and_samples():
     watch = SoakWatch()
     for t, seq, state in ((1.0, 0, "ready"), (1.1, 1, "ready"), (1.2, 3, "tracking")):
         watch.take(Heard("palm/state", t, seq, state=state, faults=[], severities=[]))

@@ -1,4 +1,4 @@
-"""The study of dice, nuts and coins: the same bodies for the same seeds, counted as they are."""
+"""The study of dice, nuts and coins: bodies repeat by seed, and counts are correct."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tools.studies.things import LIVE, LOGGED, LUMP, ObjectRow, ObjectTask, body
 THETA = np.arange(360) * (math.tau / 360)
 
 
-def test_each_kind_and_seed_is_one_body_and_every_third_has_its_mass_off_centre() -> None:
+def test_kind_and_seed_determine_the_body_and_every_third_has_an_offset_mass() -> None:
     for kind in ("coin", LUMP):
         again, once, other = (body_of(ObjectTask(kind, seed)).support.sample(THETA) for seed in (0, 0, 1))
         assert (again == once).all()
@@ -31,7 +31,7 @@ def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
     assert row.wrong <= row.valid <= 1.0
 
 
-def test_the_remarks_leave_smooth_lumps_out_of_things() -> None:
+def test_the_remarks_exclude_smooth_lumps_from_objects() -> None:
     die = ObjectRow("die", 0, valid=0.5, wrong=0.1, most_m=1e-3, refusals=3, losses=2, far=0.025)
     rows = [die, ObjectRow(LUMP, 0, valid=0.9, wrong=0.5, most_m=4e-4)]
     together, wrong, _ = remarks(rows)

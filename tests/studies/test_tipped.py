@@ -1,4 +1,4 @@
-"""A thing with corners that is tipped in the emulated rig is told by where it lies, and more of it than one side."""
+"""A body with corners tipped in the emulated rig is located by its contacts, and more than one side is found."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstru
 from palmd.observer.search import Search
 from tools.studies import object_logs
 
-POSES_DEG = ((118, 50, 2.5), (54, 114, 2.0), (12, 114, 1.5), (12, 46, 2.0))  # φ1, φ2, and in what time (s)
+POSES_DEG = ((118, 50, 2.5), (54, 114, 2.0), (12, 114, 1.5), (12, 46, 2.0))  # φ1, φ2, and duration (s)
 ROUND = PlanSpec.model_validate(
     {
         "name": "round",
@@ -25,7 +25,7 @@ ROUND = PlanSpec.model_validate(
 )
 
 
-def test_nothing_is_told_of_readings_that_no_one_outline_explains(monkeypatch):
+def test_readings_that_no_single_outline_explains_give_no_estimate(monkeypatch):
     monkeypatch.setattr(data_association, "CORNERS", (6,))
     log, *_ = object_logs.simulated(object_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND))
     search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]

@@ -107,7 +107,7 @@ class SharpTask:
 
 @dataclass(frozen=True, slots=True)
 class SharpRow(SharpTask):
-    """The results of one log; NaN for missing values. claimed: whether the reconstruction is accepted.
+    """The results of one log; NaN for missing values. accepted: whether the reconstruction is accepted.
 
     e_h_m, most_m, sd_m: RMS and largest error, and RMS of 1σ, over the touched normals. touched: their share. shown:
     the true coverage in a recording. explained_s: explained duration of the log; mass_z: error of the mass in 1σ.
@@ -115,7 +115,7 @@ class SharpRow(SharpTask):
     """
 
     error: str = ""
-    claimed: bool = False
+    accepted: bool = False
     reason: str = ""
     e_h_m: float = math.nan
     most_m: float = math.nan
@@ -131,17 +131,17 @@ class SharpRow(SharpTask):
     @property
     def right(self) -> bool:
         """Whether the estimate is accepted and its RMS error is below `RIGHT_M`."""
-        return self.claimed and self.e_h_m < RIGHT_M
+        return self.accepted and self.e_h_m < RIGHT_M
 
     @property
     def rough(self) -> bool:
         """Whether it is accepted and not right, but within `FAR` 1σ on a rig with imperfections."""
-        return self.claimed and not self.right and self.imperfections != "none" and self.e_h_m < FAR * self.sd_m
+        return self.accepted and not self.right and self.imperfections != "none" and self.e_h_m < FAR * self.sd_m
 
     @property
     def wrong(self) -> bool:
         """Whether it is accepted and neither right nor rough."""
-        return self.claimed and not self.right and not self.rough
+        return self.accepted and not self.right and not self.rough
 
 
 def run(task: SharpTask) -> SharpRow:
@@ -155,7 +155,7 @@ def run(task: SharpTask) -> SharpRow:
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
     return replace(
         row,
-        claimed=True,
+        accepted=True,
         e_h_m=score.e_h,
         most_m=score.max_error,
         sd_m=float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2))),
@@ -211,7 +211,7 @@ def _moves(path: Path | None, seconds: float) -> PlanSpec:
 
 def verdict(row: SharpRow) -> str:
     """`right`, `in its band`, `wrong` or `rejected`."""
-    if not row.claimed:
+    if not row.accepted:
         return "rejected"
     return "right" if row.right else "in its band" if row.rough else "wrong"
 
@@ -222,7 +222,7 @@ def remarks(rows: Sequence[SharpRow]) -> list[str]:
     for row in rows:
         shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
         name = f"{row.kind} {row.seed}"
-        if row.error or not row.claimed:
+        if row.error or not row.accepted:
             lines.append(f"{name}: {row.error or 'rejected: ' + row.reason}{shown}")
         else:
             lines.append(
@@ -238,7 +238,7 @@ def _verdict(which: str) -> tuple[str, Cell]:
 
 
 def _accepted(cell: Cell) -> Cell:
-    return among(lambda row: row.claimed, cell)
+    return among(lambda row: row.accepted, cell)
 
 
 OFFLINE = Study(

@@ -184,28 +184,28 @@ class LiveTask:
 class LiveRow(LiveTask):
     """The results of a task; SI units, NaN for missing values.
 
-    claimed, reason: whether the outline is accepted at the end. t_claim: time of the first accepted outline since the
-    start; claims: number of accepted ones. e, most, sd: of the last accepted outline where touched: RMS and largest
-    error, RMS of its 1σ. worst_e, worst_z: of all accepted outlines, the largest RMS error, and in 1σ. mu_error, mu_z:
-    of the last one, and in 1σ. valid: valid ticks; wrong: of these, with a contact error above `WRONG_M` or with a
-    wrong outline; beyond: with a contact error above `BEYOND` 1σ. left: unintended losses of contact that were
-    detected; losses: all losses, including intended ones at the end of a side. error: the exception, without any other
-    result.
+    accepted, reason: whether the outline is accepted at the end. t_accepted: time of the first accepted outline
+    since the start; acceptances: number of accepted ones. e, most, sd: of the last accepted outline where touched:
+    RMS and largest error, RMS of its 1σ. worst_e, worst_z: of all accepted outlines, the largest RMS error, and in
+    1σ. mu_error, mu_z: of the last one, and in 1σ. valid: valid ticks; wrong: of these, with a contact error above
+    `WRONG_M` or with a wrong outline; beyond: with a contact error above `BEYOND` 1σ. left: unintended losses of
+    contact that were detected; losses: all losses, including intended ones at the end of a side. error: the
+    exception, without any other result.
     """
 
     error: str = ""
-    claimed: bool = False
+    accepted: bool = False
     reason: str = ""
     ended: str = ""
     t_end: float = math.nan
-    t_claim: float = math.nan
+    t_accepted: float = math.nan
     e: float = math.nan
     most: float = math.nan
     sd: float = math.nan
     touched: float = math.nan
     worst_e: float = math.nan
     worst_z: float = math.nan
-    claims: int = 0
+    acceptances: int = 0
     mu_error: float = math.nan
     mu_z: float = math.nan
     ticks: int = 0
@@ -222,12 +222,12 @@ class LiveRow(LiveTask):
     @property
     def right(self) -> bool:
         """Whether the outline is accepted at the end and right."""
-        return self.claimed and self.e < RIGHT_M
+        return self.accepted and self.e < RIGHT_M
 
     @property
     def accepted_wrong(self) -> bool:
         """Whether some accepted outline was wrong by more than `WRONG_M` or `BEYOND` 1σ."""
-        return self.claims > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
+        return self.acceptances > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
 
 
 def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
@@ -282,7 +282,7 @@ class LiveScorer:
 
     live: PivotLoop
     t_start: float = 0.0
-    _results: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "claims": 0})
+    _results: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "acceptances": 0})
     _ticks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("ticks", "valid", "wrong", "beyond"), 0))
     _outline_is_wrong: bool = False
 
@@ -302,15 +302,15 @@ class LiveScorer:
 
     def _score_answer(self, t: float, answer: PivotAnswer) -> None:
         results, truth = self._results, self.live.world.object_truth()
-        results["claimed"] = answer.accepted
+        results["accepted"] = answer.accepted
         if not answer.accepted:
             self._outline_is_wrong = False
             return
         theta, touched = directions(), answer.touched > 0
         score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], touched, np.array(truth["hP_m"]))
         sd = float(np.sqrt(np.mean(answer.h_sd[touched] ** 2)))
-        results.setdefault("t_claim", t - self.t_start)
-        results["claims"] += 1
+        results.setdefault("t_accepted", t - self.t_start)
+        results["acceptances"] += 1
         results |= {"e": score.e_h, "most": score.max_error, "sd": sd, "touched": score.touched}
         results["worst_e"] = max(results["worst_e"], score.e_h)
         results["worst_z"] = max(results["worst_z"], score.e_h / sd)
@@ -332,11 +332,11 @@ def remarks(rows: Sequence[LiveRow]) -> list[str]:
 def remark(row: LiveRow) -> str:
     """The line for one run."""
     name = f"{row.name} {row.seed}"
-    if row.error or not row.claims:
+    if row.error or not row.acceptances:
         return f"{name}: {row.error or row.reason or 'nothing was accepted'}"
     error, sd = row.e * 1e6, row.sd * 1e6
     worst = f"worst errors {row.worst_e * 1e6:.0f} µm and {row.worst_z:.1f} sd"
-    kept = "" if row.claimed else f", withdrawn: {row.reason}"
+    kept = "" if row.accepted else f", withdrawn: {row.reason}"
     return f"{name}: outline error {error:.0f} µm, sd {sd:.0f} µm, {worst}{kept}"
 
 
@@ -358,13 +358,13 @@ LIVE = Study(
     columns=[
         ("runs", runs),
         ("right", count(lambda row: row.right)),
-        ("not accepted", count(lambda row: not row.claimed)),
+        ("not accepted", count(lambda row: not row.accepted)),
         ("accepted, wrong", count(lambda row: row.accepted_wrong)),
         *outline_columns(
             lambda row: row.e, lambda row: row.sd, lambda row: row.mu_error, lambda row: row.mu_z,
-            lambda row: row.claimed,
+            lambda row: row.accepted,
         ),
-        ("accepted after, s: median / 90 %", quantiles(lambda row: row.t_claim, 1.0, (0.5, 0.9))),
+        ("accepted after, s: median / 90 %", quantiles(lambda row: row.t_accepted, 1.0, (0.5, 0.9))),
         ("left the pad", count(lambda row: row.left > 0)),
         ("jams", count(lambda row: row.jams > 0)),
         ("over its limit", count(lambda row: row.most_force > row.force_limit)),

@@ -1,4 +1,4 @@
-"""Physics engines nobody here wrote, as judges of the emulated rig and of the blind estimators."""
+"""Independent physics engines as references for the emulated rig and the blind estimators."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def resolved(scene, seconds):
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("vibrating", 1), ("antiphase", 1)])
-def test_the_engine_turns_the_body_as_the_emulated_rig_does(engine, kind, seed):
+def test_the_engine_and_the_emulated_rig_rotate_the_body_alike(engine, kind, seed):
     scene = draw_scene(kind, seed)
     there, here = engine(scene, SECONDS), resolved(scene, SECONDS)
     assert there.penetration < MOST_M
@@ -48,8 +48,8 @@ def test_the_engine_turns_the_body_as_the_emulated_rig_does(engine, kind, seed):
 
 
 @pytest.mark.nightly
-def test_a_body_of_arcs_turns_as_a_smooth_one():
-    """Without friction engine and plant have the same equations, and only the outline's steps of curvature differ."""
+def test_a_body_of_arcs_rotates_as_a_smooth_one():
+    """Without friction engine and plant have the same equations; only the outline's curvature steps differ."""
     pytest.importorskip("pymunk")
     scene, seconds = draw_scene("slick", 8101), 3.0
     there, here = study.engine_called("chipmunk")(scene, seconds), resolved(scene, seconds)
@@ -59,7 +59,7 @@ def test_a_body_of_arcs_turns_as_a_smooth_one():
 
 
 @pytest.mark.nightly
-def test_without_friction_a_log_of_an_engine_is_reconstructed_blind_and_right():
+def test_a_frictionless_log_of_an_engine_is_reconstructed_correctly():
     pytest.importorskip("pymunk")
     row = study.run(study.EngineTask("chipmunk", "slick", "none", 0, 5.0))
     assert row.right
@@ -67,7 +67,7 @@ def test_without_friction_a_log_of_an_engine_is_reconstructed_blind_and_right():
 
 
 @pytest.mark.parametrize("kind", ENGINE_KINDS)
-def test_a_log_says_how_the_palms_vibrate(kind):
+def test_a_log_states_how_the_palms_vibrate(kind):
     pytest.importorskip("pymunk")
     lines, truth = engine_log(study.engine_called("chipmunk"), kind, 3, 0.2, "calibrated")
     with written(lines) as path:

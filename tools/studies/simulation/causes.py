@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from palmd.rig.fault_injection import PADS
-from tools.studies.simulation.happenings import Broken, Bytes, Happening, Restart, Slow, Stall, Told, Trick
+from tools.studies.simulation.happenings import Broken, Bytes, ClientRequest, Happening, Restart, Slow, Stall, Trick
 
 LINGERS_S = 3.0
 """So long after its end a cause may still bring a fault up: ports are tried again, counters judged, links found."""
@@ -61,19 +61,19 @@ CAUSES: dict[str, frozenset[str]] = {
     "force-excess": _PRESSED,
     **_pad(PADS[0]),
     **_pad(PADS[1]),
-    "plan-refused": frozenset({"told"}),
-    "operator-lost": frozenset({"told"}),
+    "plan-refused": frozenset({"request"}),
+    "operator-lost": frozenset({"request"}),
     "smoother-silent": frozenset({"slow"}),
-    "explorer-silent": frozenset({"slow", "broken", "told"}),
+    "explorer-silent": frozenset({"slow", "broken", "request"}),
     "pads-swapped": _PRESSED,
     "pads-mirrored": _PRESSED | frozenset(_BODY),  # a finger and another object move otherwise than this one
-    "estimate-lost": frozenset({"broken", "told", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
+    "estimate-lost": frozenset({"broken", "request", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
     | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "estimate-inconsistent": frozenset({"broken", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
     | {f"{what}@{end}" for what in _LINE for end in (*PADS, "arm")},
     "samples-too-late": frozenset({"stall", "restart"}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},
-    "recorder-failed": frozenset({"told"}),
-    "recorder-silent": frozenset({"told"}),
+    "recorder-failed": frozenset({"request"}),
+    "recorder-silent": frozenset({"request"}),
 }
 """By fault: the happenings that may bring it up. A fault that is not here has no cause in any simulated run."""
 
@@ -107,5 +107,5 @@ def causes(happenings: Iterable[Happening]) -> Iterator[Cause]:
                 yield Cause("broken", each.t, each.t + each.for_s)
             case Slow():
                 yield Cause("slow", each.t, each.t + each.for_s + each.takes_s)
-            case Told():
-                yield Cause("told", each.t, float("inf"))
+            case ClientRequest():
+                yield Cause("request", each.t, float("inf"))

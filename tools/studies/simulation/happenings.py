@@ -46,7 +46,7 @@ class Trick:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ClientRequest:
     """A client's message to the command socket: a command, or anything else."""
 
     t: float
@@ -109,7 +109,7 @@ class Broken:
     for_s: float
 
 
-Happening = Trick | Told | Stall | Bytes | Slow | ClockStep | Restart | Broken
+Happening = Trick | ClientRequest | Stall | Bytes | Slow | ClockStep | Restart | Broken
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,10 +169,10 @@ def drawn(seed: int) -> Scenario:
         together = 1 if rng.random() < 0.6 else rng.randrange(2, 6)
         found += [_one(t + rng.uniform(0.0, BURST_S), rng) for _ in range(together)]
     for _ in range(rng.randrange(0, 60)):
-        found.append(_told(rng.uniform(FIRST_S, TROUBLE_S), rng.randrange(clients), rng))
+        found.append(_request(rng.uniform(FIRST_S, TROUBLE_S), rng.randrange(clients), rng))
     if rng.random() < 0.1:
         t = rng.uniform(FIRST_S, TROUBLE_S)
-        found += [_told(t + rng.uniform(0.0, BURST_S), rng.randrange(clients), rng) for _ in range(100)]
+        found += [_request(t + rng.uniform(0.0, BURST_S), rng.randrange(clients), rng) for _ in range(100)]
     found.sort(key=lambda each: each.t)
     happenings = tuple(found)
     numbers = tuple(range(len(happenings)))
@@ -208,7 +208,7 @@ def _one(t: float, rng: random.Random) -> Happening:
 _WEIGHTS = {"status": 2, "arm": 8, "start": 10, "hold": 6, "stop": 4, "reset": 6, "plan": 4, "jog": 10, "note": 1}
 
 
-def _told(t: float, client: int, rng: random.Random) -> Told:
+def _request(t: float, client: int, rng: random.Random) -> ClientRequest:
     name = rng.choices(sorted(COMMANDS), [_WEIGHTS.get(each, 1) for each in sorted(COMMANDS)])[0]
     args = {each.name: _value(each, rng) for each in COMMANDS[name].arguments if each.required or rng.random() < 0.6}
     if name == "plan":
@@ -221,7 +221,7 @@ def _told(t: float, client: int, rng: random.Random) -> Told:
         cut = bytearray(payload)
         cut[rng.randrange(len(cut))] ^= 1 << rng.randrange(8)
         payload = bytes(cut[: rng.randrange(1, len(cut) + 1)])
-    return Told(t, client, payload)
+    return ClientRequest(t, client, payload)
 
 
 def _value(argument: Argument, rng: random.Random) -> object:

@@ -46,6 +46,7 @@ from tools.studies.simulation.happenings import (
     RATE_HZ,
     Broken,
     Bytes,
+    ClientRequest,
     ClockStep,
     Happening,
     Part,
@@ -53,7 +54,6 @@ from tools.studies.simulation.happenings import (
     Scenario,
     Slow,
     Stall,
-    Told,
     Trick,
 )
 from tools.studies.simulation.light_observer import LightObserver
@@ -251,7 +251,7 @@ class Simulation:
         while waiting and waiting[-1].t <= t:
             each = waiting.pop()
             match each:
-                case Told():
+                case ClientRequest():
                     self._commands.waiting.append((each.client, each.payload))
                 case Stall():
                     if each.part == "between":

@@ -229,7 +229,7 @@ class Watch:
             return
         apart = math.dist((last.x_m, last.y_m), (pose.x_m, pose.y_m))
         if apart > STILL_M:
-            self._break(t, "no motion unless told to move", f"a set-point {apart * 1e3:.3f} mm from the one before")
+            self._break(t, "no motion unless commanded", f"a set-point {apart * 1e3:.3f} mm from the one before")
 
     def said(self, frames: Sequence[bytes], t: float) -> None:
         """The daemon has published."""
@@ -350,7 +350,7 @@ class Watch:
         """What an estimate that is called valid says of the body, and what is true of it at `t` (s)."""
         estimate = core.estimate
         if not estimate.valid or any(
-            each.t_on <= t <= each.t_off + LINGERS_S for each in self._causes if each.name != "told"
+            each.t_on <= t <= each.t_off + LINGERS_S for each in self._causes if each.name != "request"
         ):
             return
         self.sometimes["estimate compared"] += 1
