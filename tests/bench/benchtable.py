@@ -1,4 +1,4 @@
-"""Tables of measured times, and what they were measured on."""
+"""Tables of measured times, and a description of the machine."""
 
 import os
 import platform
@@ -10,7 +10,7 @@ PARTS = ("p50", "p99", "p99.9", "max")
 
 
 def machine():
-    """One line of facts without which no time means anything."""
+    """One line that describes the machine."""
     cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     names = [line.partition(":")[2].strip() for line in cpuinfo if line.startswith("model name")]
     load = os.getloadavg()[0]
@@ -27,7 +27,7 @@ def percentiles(values):
 
 
 def show(title, columns, rows):
-    """Print a table: the first cell of a row is its name, the others are numbers or words."""
+    """Prints a table: the first cell of a row is its name, the others are numbers or words."""
     cells = [["", *columns], *([str(row[0]), *map(_shown, row[1:])] for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     print(f"\n{title}")

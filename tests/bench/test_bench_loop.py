@@ -1,4 +1,4 @@
-"""How late and how long the real daemon's ticks are against the emulated rig, beside cyclictest."""
+"""Lateness and duration of the real daemon's ticks on the emulated rig, compared with cyclictest."""
 
 import json
 import math
@@ -48,7 +48,7 @@ status = app.run(Path(sys.argv[1]))
 Path(sys.argv[2]).write_bytes(Recorded.rows.tobytes())
 sys.exit(status)
 """
-"""The daemon as it is, but for its statistics, which remember every tick."""
+"""The real daemon, with statistics that keep every tick."""
 
 
 def start_rig(folder, stack):
@@ -58,7 +58,7 @@ def start_rig(folder, stack):
 
 
 def cyclictest(folder):
-    """Wake-up latencies (ms) at the loop's priority and period, None with the reason where there are none."""
+    """Wake-up latencies (ms) at the loop's priority and period; None with the reason if not measured."""
     if shutil.which("cyclictest") is None:
         return None, "no cyclictest: sudo apt-get install rt-tests"
     path = folder / "cyclictest.json"
@@ -75,7 +75,7 @@ def cyclictest(folder):
 
 
 def run_daemon(rig, folder, stack):
-    """Lateness and work (ms) and skipped ticks of a run with the palms in motion, one row a tick."""
+    """Lateness and work (ms) and skipped ticks of a run with moving palms, one row per tick."""
     config = load_config(shipped("demo.yaml")).model_copy(update={"plan": shipped("plans/lively.yaml")})
     bus = free_addresses(config.bus)
     path, ticks = folder / "palmd.yaml", folder / "ticks"
@@ -93,7 +93,7 @@ def run_daemon(rig, folder, stack):
         command = operator.decide(time.monotonic())
         if command and client.ask(command)["ok"] and command == "start":
             t_end = min(t_end, time.monotonic() + SECONDS)
-    assert t_end < math.inf, "the palms were not brought to move"
+    assert t_end < math.inf, "the palms did not start to move"
     daemon.send_signal(signal.SIGTERM)
     _, said = daemon.communicate(timeout=10.0)
     assert daemon.returncode == 0, said.decode()

@@ -1,4 +1,4 @@
-"""What a tick of each observer costs by the size of its bank, and one step of one filter in C."""
+"""Duration of each observer's tick by bank size, and of one step of one filter in C."""
 
 import time
 
@@ -27,7 +27,7 @@ CALLS, REPEATS = 200, 7
 
 
 def tick_times(watcher, events):
-    """How long feed, estimate and, each tenth time, shape took in each tick (ms of processor time)."""
+    """Processor time (ms) of feed, estimate and, every tenth time, shape in each tick."""
     times, waiting = [], list(reversed(events))
     for k in range(1, round(SECONDS / PERIOD_S)):
         begun = time.thread_time()
@@ -60,12 +60,12 @@ def test_bench_tick_of_the_observers():
 
 
 def step_time(library, name):
-    """One call of a kernel for one filter (µs): the best of several means."""
-    told = library.signatures[name]
+    """Time of one kernel call for one filter (µs): the best of several means."""
+    shape = library.signatures[name]
     rng = np.random.default_rng(SEED)
-    columns = [1 if i in told.shared or not told.columns else compiled.LANES for i in range(len(told.inputs))]
-    inputs = [rng.uniform(0.2, 0.9, count * size) for count, (_, size) in zip(columns, told.inputs, strict=True)]
-    outputs = [np.zeros(columns[0] * size) for _, size in told.outputs]
+    columns = [1 if i in shape.shared or not shape.columns else compiled.LANES for i in range(len(shape.inputs))]
+    inputs = [rng.uniform(0.2, 0.9, count * size) for count, (_, size) in zip(columns, shape.inputs, strict=True)]
+    outputs = [np.zeros(columns[0] * size) for _, size in shape.outputs]
     call = library.bind(name, inputs, outputs)
     best = np.inf
     for _ in range(REPEATS):
@@ -85,7 +85,7 @@ def test_bench_one_step_of_one_filter(monkeypatch):
             patch.delenv("CC", raising=False)
             patch.setattr(compiled, "_opened", lambda _: None)
             patch.setattr(compiler.shutil, "which", lambda _: None)
-            slow = model.library.__wrapped__()  # not the one that is kept
+            slow = model.library.__wrapped__()  # not the cached one
         assert slow.backend == "vm"
         for kernel in ("predict", "update_s1"):
             c, vm = (step_time(library, f"{kernel}_block") for library in (fast, slow))

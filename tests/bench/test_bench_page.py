@@ -1,8 +1,8 @@
-"""The live page on a real demo: first picture, layout shifts in use, memory when open, share of a processor.
+"""The live page on a real demo: first picture, layout shifts, memory, processor share.
 
-`PALMD_SHIFT_S` (180) and `PALMD_OPEN_S` (900) are for how long. Growth is a straight line through what is in use after
-collecting garbage, without the first third, told as MB in 24 h with its standard deviation. `PALMD_COMPARED` is the
-address of another page (`palmd view` of another checkout), measured in turns with this one: other load changes both.
+`PALMD_SHIFT_S` (180) and `PALMD_OPEN_S` (900) are durations. Growth is a line fitted to the memory in use after garbage
+collection, without the first third, given in MB per 24 h with its standard deviation. `PALMD_COMPARED` is the address
+of another page (`palmd view` of another checkout), measured in turns with this one because other load affects both.
 """
 
 import os
@@ -26,7 +26,7 @@ LOOK_S, START_S = 10.0, 90.0
 FIRST_PICTURE_S = 5.0
 SHARE, TURNS, TURN_S, LOADED_S = 0.15, 6, 5.0, 3.0
 VIEWS = ("runs", "configuration", "log", "live")
-SWITCHED_S = 0.6  # a view that a person has asked for may move what it likes: the browser's own allowance is 0.5 s
+SWITCHED_S = 0.6  # a requested view may shift the layout: the browser allows 0.5 s
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def driver():
 
 
 class Shown:
-    """A demo with its page, and when (s after its start) the address and the first picture were there."""
+    """A demo with its page, and the times (s after its start) of the address and of the first picture."""
 
     def __init__(self, folder, driver):
         begun = time.monotonic()
@@ -76,7 +76,7 @@ def test_first_picture(demo):
 
 
 def test_layout_shifts_while_controls_are_in_use(demo):
-    """Jogs, commands, plots, plans, theme, views: one after the other for three minutes."""
+    """Jogs, commands, plots, plans, theme and views in turns for three minutes."""
     page = demo.page
     time.sleep(1.0)
     page.watch_shifts()
@@ -129,14 +129,14 @@ def views(page):
 
 
 def press(page, selector):
-    """If it applies."""
+    """Clicks it if it is enabled."""
     button = page.driver.find_element(By.CSS_SELECTOR, selector)
     if button.is_enabled() and button.is_displayed():
         button.click()
 
 
 def test_share_of_a_processor(demo):
-    """Of all processes of a browser without a graphics processor, the palms exploring; an empty page for comparison."""
+    """All processes of a browser without a graphics processor during an exploration, compared with an empty page."""
     compared = os.environ.get("PALMD_COMPARED")
     addresses = {"empty": "about:blank", "this page": demo.address} | ({"compared": compared} if compared else {})
     shares = {name: [] for name in addresses}
@@ -162,7 +162,7 @@ def total(turns):
 
 
 def processor_s(root):
-    """Processor time (s) of the descendants of a process, by the kind of browser process."""
+    """Processor time (s) of a process's descendants, by the kind of browser process."""
     found, parents = {}, {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:

@@ -1,4 +1,4 @@
-"""What reconstructing ten seconds from a blind start costs, and what the smoother's iteration does."""
+"""Duration of a blind reconstruction of ten seconds, and of the smoother's iteration."""
 
 import time
 

@@ -1,7 +1,7 @@
-"""What strangers can send, each reader of it as a function of bytes that raises nothing, whatever they are.
+"""Each reader of external data as a function of bytes that must not raise, whatever the bytes.
 
-A target does what the programs do with such bytes, lets through the errors that its reader promises, and checks what
-must hold besides. `tools/fuzz.py` searches for bytes that break one; the tests run the kept ones and some random ones.
+A target uses the bytes as the programs do, catches the errors that its reader documents, and checks further invariants.
+`tools/fuzz.py` searches for bytes that break one; the tests run the stored ones and some random ones.
 """
 
 import contextlib
@@ -72,7 +72,7 @@ _TOKEN = "the token"
 
 
 def _pieces(data: bytes) -> list[bytes]:
-    """The first byte says into how long pieces a line cuts the rest."""
+    """Splits the data into pieces of a length given by the first byte."""
     size = max(1, data[0] if data else 1)
     return [data[at : at + size] for at in range(1, len(data), size)]
 
@@ -84,7 +84,7 @@ def _file(data: bytes) -> Path:
 
 
 def versapad(data: bytes) -> None:
-    """A pad's line: every byte is accounted for, times do not run backwards, contacts lie on the pad."""
+    """A pad's line: every byte is counted, times do not decrease, contacts lie on the pad."""
     decoder, driver, t, latest = VersaPadDecoder(BAUD), make_pad(1, VersaPadConfig(port="a")), 0.0, -math.inf
     for piece in _pieces(data):
         t += (piece[0] % 8) * 0.01
@@ -102,7 +102,7 @@ def versapad(data: bytes) -> None:
 
 
 def taxels(data: bytes) -> None:
-    """An array's line: every byte is counted, times do not run backwards, contacts lie on the array."""
+    """An array's line: every byte is counted, times do not decrease, contacts lie on the array."""
     driver = make_pad(1, _ARRAYS[(data[0] if data else 0) % len(_ARRAYS)])
     driver.opened(0.0)
     t, latest, size = 0.0, -math.inf, 0
@@ -124,14 +124,14 @@ _POLLS = 10  # after which a host waits for an answer
 
 
 class _Nobody:
-    """What a driver writes to, unheard."""
+    """A line for a driver to write to, without a reader."""
 
     def write(self, data: bytes) -> None:
         assert isinstance(data, bytes)
 
 
 def servos(data: bytes) -> None:
-    """A bus of servos of one make: the host takes anything, and so do the servos."""
+    """A bus of servos of one make: host and servos accept anything."""
     config = _SERVOS[(data[0] if data else 0) % len(_SERVOS)]
     host, t = make_actuator(config.arm), 0.0
     far = make_servo_arm(config, config.arm, (0.8, 1.5), np.random.default_rng(1), t)
@@ -145,14 +145,14 @@ def servos(data: bytes) -> None:
             if host.due() > t:
                 break
         else:
-            raise AssertionError(f"the host has something to do at {t} s for ever")
+            raise AssertionError(f"the host never becomes idle at {t} s")
         for said in far.step(t + 0.002):
             host.feed(said.data, t)
         list(host.health(True))
 
 
 def armlink(data: bytes) -> None:
-    """A line's grammar, both directions: what can be read is read the same when it is written again."""
+    """Grammar of both directions: a decoded line is encoded and decoded to the same value."""
     for line in LineReader(BAUD).feed(data, 0.0):
         _read_again(line.body)
     _read_again(data.decode("ascii", "replace"))
@@ -168,7 +168,7 @@ def _read_again(body: str) -> None:
 
 
 def armhost(data: bytes) -> None:
-    """The host hears anything on a link that is up, and goes on: what it writes are commands."""
+    """The host accepts anything on an open link and continues: it writes only commands."""
     host, t = ArmHost(AdeptConfig(port="a", baud=BAUD)), 0.0
     assert host.poll(t, None).data == encode_command(Hello())
     wanted = (host.request_tracking, host.request_stop, host.request_reset)
@@ -184,7 +184,7 @@ def armhost(data: bytes) -> None:
 
 
 def controller(data: bytes) -> None:
-    """The emulated controller hears anything: it answers with replies, and its path stays in the workspace."""
+    """The emulated controller accepts anything: it sends replies, and its path stays in the workspace."""
     machine, t = Controller(_ARM, _HOME, BAUD, lambda _pose, _t: None), 0.0
     for piece in _pieces(data):
         t += 0.016
@@ -195,7 +195,7 @@ def controller(data: bytes) -> None:
 
 
 def commands(data: bytes) -> None:
-    """The command socket: a request of the table, or an error that can be told to whoever sent it."""
+    """The command socket: a request of the table, or an error that can be sent to its client."""
     try:
         request = parse(data, (b"route",))
     except CommandError as error:
@@ -209,7 +209,7 @@ def commands(data: bytes) -> None:
 
 
 def config(data: bytes) -> None:
-    """A configuration: one that is complete, or errors with their places."""
+    """A configuration: a complete one, or errors with their places."""
     path = _file(data)
     try:
         assert isinstance(load_config(path), Config)
@@ -247,7 +247,7 @@ def _check_line(path: Path, text: str) -> None:
 
 
 def eventlog(data: bytes) -> None:
-    """An event log: finite events in it, or one line of error."""
+    """An event log: finite events, or a one-line error."""
     path = _file(data)
     try:
         log = read_log(path)
@@ -258,7 +258,7 @@ def eventlog(data: bytes) -> None:
 
 
 def mcap(data: bytes) -> None:
-    """A recording: what is whole in it, or one line of error; packed, it holds the same."""
+    """A recording: its intact messages, or a one-line error; packed, it holds the same."""
     path = _file(data)
     with contextlib.suppress(RunError):
         is_packed(path)
@@ -274,11 +274,11 @@ def mcap(data: bytes) -> None:
 
 
 def page(data: bytes) -> None:
-    """The page's door: a request is answered, a message is a token, an order or nothing."""
+    """The page's entrance: a request is answered, a message is a token, a command or ignored."""
     path, host, origin, message = [*data.split(b"\n", 3), b"", b"", b""][:4]
     try:
         headers = Headers([("Host", host.decode("latin-1")), ("Origin", origin.decode("latin-1"))])
-    except InvalidHeaderValue:  # websockets itself turns such a request away
+    except InvalidHeaderValue:  # websockets itself rejects such a request
         return
     answer = http_guard.answer(Request(path.decode("latin-1"), headers), _FILES)
     assert answer is None or answer.status_code in (200, 403, 404)

@@ -1,4 +1,4 @@
-"""Nothing that a stranger sends breaks a reader: the kept bytes, and random ones near to them."""
+"""No external data break a reader: the stored bytes, and random ones near them."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def kept(name):
 
 @st.composite
 def damaged(draw, seeds):
-    """A kept file with pieces of it taken out, written over or put in, or bytes that are like none."""
+    """A stored file with pieces removed, overwritten or inserted, or unrelated bytes."""
     data = bytearray(draw(st.one_of(st.sampled_from(seeds), st.binary(max_size=200))))
     for _ in range(draw(st.integers(0, 4))):
         at = draw(st.integers(0, len(data)))
@@ -26,12 +26,12 @@ def damaged(draw, seeds):
     return bytes(data)
 
 
-def test_every_target_has_kept_bytes_and_no_other_has():
+def test_every_target_has_stored_bytes_and_no_other_has():
     assert {path.name for path in KEPT.iterdir()} == TARGETS.keys()
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_kept_bytes_break_nothing(name):
+def test_stored_bytes_break_nothing(name):
     for data in kept(name):
         TARGETS[name](data)
 

@@ -1,9 +1,9 @@
-"""Benches: one shared by a module's tests, or one for a test alone. Nothing of them is left.
+"""Benches, one shared by the tests of a module or one for a single test; both clean up completely.
 
-The rig is emulated in real time, so these tests need the machine. They go before other work where this user may ask for
-that. One that fails while others kept the processors waits for a quieter moment and is tried again; one that fails on a
-machine that had time for it has failed. Beside all other tests there is no quieter moment to wait for, and
-`tools/run_tests.py` tries again in the end.
+The rig is emulated in real time, so these tests need the machine; they take priority over other work where the user
+may. A test that fails while other programs used the processors is repeated at a quieter moment; a failure on an idle
+machine counts. Beside all other tests there is no quiet moment, and `tools/run_tests.py` repeats the failures at the
+end.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ def _before_others():
 
 
 def pytest_collection_modifyitems(items):
-    """A test's time is that of one try."""
+    """The time limit of a test applies to each try."""
     for item in items:
         if item.get_closest_marker("rig") is not None:
             own = item.get_closest_marker("timeout")
@@ -37,14 +37,14 @@ def pytest_collection_modifyitems(items):
 
 
 def _from_want_of_time(report):
-    """Whether a test has failed in a way that more time might have mended; a mistake in its code it does not."""
+    """Whether a lack of processor time may explain the failure; it does not explain an error in the test's code."""
     crash = getattr(report.longrepr, "reprcrash", None)
     return report.failed and not (crash and crash.message.startswith(_MISTAKES))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item, nextitem):
-    """Try again what failed beside other work; only the last try is reported."""
+    """Repeats tests that failed beside other work; only the last try is reported."""
     if item.get_closest_marker("rig") is None:
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
@@ -53,7 +53,7 @@ def pytest_runtest_protocol(item, nextitem):
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
         if not left or pressure.share() < patience.BUSY_SHARE or not any(map(_from_want_of_time, reports)):
             break
-        print(f"\n{item.nodeid}: tried again: others keep the processors", file=sys.__stderr__)
+        print(f"\n{item.nodeid}: repeated: other programs use the processors", file=sys.__stderr__)
         patience.until_quiet(WAIT_S)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
@@ -69,17 +69,17 @@ def _bench(folder, **changes):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """A daemon on a rig, shared: a test leaves it in any state, and takes it from any."""
+    """A shared daemon on a rig; tests may start from and leave any state."""
     yield from _bench(tmp_path_factory.mktemp("bench"))
 
 
 @pytest.fixture
 def own_bench(tmp_path):
-    """A daemon on a rig that nobody else uses."""
+    """A daemon on a rig for one test alone."""
     yield from _bench(tmp_path)
 
 
 @pytest.fixture
 def light_bench(tmp_path):
-    """The same, for a test to which its observer does not matter."""
+    """A bench with the cheapest observer, for tests that do not depend on it."""
     yield from _bench(tmp_path, **LEAST_WORK)

@@ -1,7 +1,7 @@
-"""The real daemon on the emulated rig, as processes joined by pseudo-terminals, and what a test needs of both.
+"""The real daemon on the emulated rig, as processes connected by pseudo-terminals, with test operations.
 
-Nothing here sleeps for a fixed time or asserts one: whoever waits names a condition, and `GENEROUS_S` is only
-how long a slow machine may take until it holds.
+Nothing waits for a fixed time or asserts one: every wait has a condition, and `GENEROUS_S` is the time-out on a slow
+machine.
 """
 
 import json
@@ -26,10 +26,10 @@ from palmd.harness.processes import Child
 from palmd.harness.stack import Stack
 
 _LOOK_S = 0.02
-EVERYTHING = 1_000_000  # more messages than are ever waiting
+EVERYTHING = 1_000_000  # more messages than can be waiting
 
 RATE_DEG_S = 80.0
-LEAST_WORK = {"observer": {"primary": "quasistatic"}}  # none to compile or load, no processes beside it
+LEAST_WORK = {"observer": {"primary": "quasistatic"}}  # nothing to compile or load, no helper processes
 RESTING_RAD_S = 1e-3
 TOGETHER_S = 0.3
 PLAN = """\
@@ -45,20 +45,20 @@ ROOT = Path(__file__).parents[2]
 
 
 def run_study(*arguments, timeout_s):
-    """A study of the checkout to its end, with what it printed."""
+    """Runs a study of the checkout to its end; returns status and output."""
     command = [sys.executable, "-m", "tools.studies", *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=timeout_s)
 
 
 class Process(Child):
-    """One palmd command, with what a test asks of it."""
+    """One palmd command as a process."""
 
     def __init__(self, arguments, folder, environment=None):
         super().__init__([*map(str, arguments)], folder, environment)
 
     @property
     def all_said(self):
-        """Its standard error up to now."""
+        """Its standard error so far."""
         return self._err.read_text(encoding="utf-8", errors="replace")
 
     @property
@@ -68,20 +68,20 @@ class Process(Child):
     def first_line(self, patience_s=GENEROUS_S, *more):
         """The first line of its standard output."""
         line = super().first_line(patience_s, *more)
-        assert line is not None, f"it says nothing; it ended with {self.status}: {self.all_said}"
+        assert line is not None, f"no output; it ended with {self.status}: {self.all_said}"
         return line
 
     def end(self, number=signal.SIGTERM, within_s=GENEROUS_S):
-        """Send a signal, and return the exit status."""
+        """Sends a signal; returns the exit status."""
         self.send(number)
         return self.wait(within_s)
 
     def wait(self, within_s=GENEROUS_S):
-        """The exit status, once it ends by itself."""
+        """The exit status, after it ends by itself."""
         return self._process.wait(within_s)
 
     def stop(self, *_patience_s):
-        """Whatever it does, it is gone."""
+        """Ends it in any case."""
         self._process.kill()
         self._process.wait()
 
@@ -106,7 +106,7 @@ def with_ports(settings, ports):
 
 
 def palmd(*arguments, timeout_s=100.0):
-    """A palmd command to its end."""
+    """Runs a palmd command to its end."""
     return subprocess.run(
         [sys.executable, "-P", "-m", "palmd", *map(str, arguments)],
         capture_output=True, text=True, timeout=timeout_s, check=False, stdin=subprocess.DEVNULL,
@@ -114,14 +114,14 @@ def palmd(*arguments, timeout_s=100.0):
 
 
 class Client(CommandClient):
-    """Asks a command socket, one map at a time."""
+    """A client of a command socket that sends one map at a time."""
 
     def __init__(self, address):
         super().__init__(address, GENEROUS_S)
         self.socket = self._socket
 
     def reply(self):
-        """The next answer, whomever it is for."""
+        """The next answer to any request."""
         assert self.socket.poll(GENEROUS_S * 1e3), "no answer"
         return msgpack.unpackb(self.socket.recv_multipart()[-1])
 
@@ -130,7 +130,7 @@ class Client(CommandClient):
         return super().ask(command, args)
 
     def do(self, command, **args):
-        """The result of a command that must not be refused."""
+        """The result of a command; fails if it is refused."""
         reply = self.ask(command, **args)
         assert reply["ok"], f"{command}: {reply['error']}"
         return reply.get("result")
@@ -138,13 +138,13 @@ class Client(CommandClient):
 
 @dataclass
 class Heard:
-    """What has been heard since the last `Bench.forget`: the last message of each topic, and what passed by."""
+    """Messages since the last `Bench.forget`: the last one of each topic, and what occurred in between."""
 
     latest: dict = field(default_factory=dict)
     counts: Counter = field(default_factory=Counter)
     states: list = field(default_factory=list)
     faults: dict = field(default_factory=dict)  # severity by code
-    since: dict = field(default_factory=dict)  # by code: the tick (s) that told it first
+    since: dict = field(default_factory=dict)  # by code: the first tick that reported it
 
     @property
     def state(self):
@@ -152,7 +152,7 @@ class Heard:
 
     @property
     def active(self):
-        """The codes of the faults that stand."""
+        """Codes of the active faults."""
         return set(self.latest.get("palm/state", {}).get("faults", ()))
 
     @property
@@ -172,19 +172,19 @@ class Heard:
 class Bench(Stack):
     """A rig, and a daemon on its ports; `folder` holds configuration, plan and output.
 
-    The configured ports are links of steady names, as udev makes them; a rig that is started anew has the same.
+    The configured ports are links with fixed names, as udev makes them; a restarted rig gets the same ones.
     """
 
     child = Process
     topics = ("palm/",)
 
     def __init__(self, folder, seed=3, record=False, **changes):
-        """`changes` go into the daemon's configuration and not into the rig's; `record` has it start its recorder."""
+        """`changes` apply to the daemon's configuration, not to the rig's; `record` starts the recorder."""
         self.folder, self.heard = folder, Heard()
         self.ports = {name: folder / "ports" / name for name in ("pad1", "pad2", "arm")}
         self._seed, self._stalls = seed, 0
         pad1, pad2, arm = ({"port": str(port)} for port in self.ports.values())
-        pad1["newtons_per_count"] = pad2["newtons_per_count"] = 0.04  # no object of these saturates them
+        pad1["newtons_per_count"] = pad2["newtons_per_count"] = 0.04  # no object of these tests saturates them
         limits = {"phi1_deg": [20, 70], "phi2_deg": [75, 105], "rate_deg_s": RATE_DEG_S}
         self._settings = {"pads": {"palm1": pad1, "palm2": pad2}, "arm": arm, "limits": limits, "plan": "lively.yaml"}
         (folder / "lively.yaml").write_text(PLAN)
@@ -200,7 +200,7 @@ class Bench(Stack):
         super().start_rig("--seed", self._seed, "--ports", self.folder / "ports")
 
     def start_daemon(self, record=False, **changes):
-        """The daemon, with sockets of its own, and its recorder if that is wanted."""
+        """Starts the daemon with its own sockets, and its recorder if requested."""
         publish, command = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
         settings = self._settings | {"bus": {"publish": publish, "command": command}}
         self.configure(Config.model_validate(merged(settings, changes)))
@@ -210,7 +210,7 @@ class Bench(Stack):
         self.heard = Heard()
 
     def close(self):
-        """Everything ends; the rig tidies up if it can."""
+        """Ends all processes; the rig cleans up if it can."""
         rig = self.children.get("rig")
         status = rig.end() if rig and rig.alive else 0
         self.__exit__(None, None, None)
@@ -224,25 +224,25 @@ class Bench(Stack):
     def rig(self):
         return self.children["rig"]
 
-    # what the daemon says
+    # messages of the daemon
 
     @property
     def motion(self):
         return self.heard.latest["palm/motion"]
 
     def forget(self):
-        """From here on anew."""
+        """Forgets all messages so far."""
         self._stalls = self.rig_status()["stalls"]
         self.drain()
         self.heard = Heard(latest=self.heard.latest)
 
     def drain(self, wait_s=0.0):
-        """Take in what has come; when there is nothing, what comes first within wait_s."""
+        """Takes the waiting messages; if there are none, waits for the first one within wait_s."""
         for topic, payload, *_ in self.subscriber.frames(EVERYTHING, wait_s):
             self.heard.take(topic.decode(), msgpack.unpackb(payload))
 
     def until(self, condition, what):
-        """Listen until `condition(heard)` is true; the daemon must live."""
+        """Receives until `condition(heard)` is true; fails if the daemon ends."""
 
         def look():
             self.drain(_LOOK_S)
@@ -263,50 +263,50 @@ class Bench(Stack):
         self.until(lambda heard: heard.state in states, f"state {states}")
 
     def until_faults(self, *codes):
-        """Until all of these have stood, at once or one after the other."""
+        """Waits until all of these have been active, not necessarily at once."""
         self.until(lambda heard: heard.faults.keys() >= set(codes), f"faults {codes}")
 
     def until_gone(self, *codes):
-        """Until none of these stands."""
+        """Waits until none of these is active."""
         self.until(lambda heard: not heard.active & set(codes), f"the end of {codes}")
 
     def ticks(self, count):
-        """Let the daemon do so many ticks more: it lives and publishes."""
+        """Waits for so many further ticks, which are published."""
         end = self.heard.ticks + count
         self.until(lambda heard: heard.ticks >= end, f"{count} ticks more")
 
-    # what an operator does
+    # actions of an operator
 
     def ready(self):
-        """From wherever it is to `ready`."""
+        """Brings the daemon from any state to `ready`."""
         self.until(lambda _: True, "the first message")
-        if self.heard.state == "fault" or "arm-fault" in self.heard.active:  # a plug that was out leaves the latter
+        if self.heard.state == "fault" or "arm-fault" in self.heard.active:  # an unplugged port leaves the latter
             wait(lambda: self.client.ask("reset")["ok"], "a reset", pause_s=0.1)
         elif self.heard.state in ("tracking", "hold"):
             self.client.do("stop")
         self.until(lambda heard: heard.state == "ready" and self.motion["arm_state"] == "R", "all ready")
 
     def run_plan(self):
-        """The palms follow the plan, and both feel the object; nothing to do if that is so."""
+        """Runs the plan until both palms touch the object; does nothing if that is so."""
         self.until(lambda _: True, "the first message")
         if self.heard.state != "tracking" or self.motion["segment"] < 0:
             self._begin()
-        self.until(lambda _: self._felt(), "the object")
+        self.until(lambda _: self._touches(), "the object")
         self.moving()
 
     def moving(self):
-        """The palms turn, by what the arm reports, in state tracking."""
+        """Waits until the palms turn, by the arm's reports, in state tracking."""
         start = self.motion["phi1_rad"]
         self.until(
             lambda heard: (
-                self._forgiven() or (heard.state == "tracking" and abs(self.motion["phi1_rad"] - start) > 0.02)
+                self._restart_motion() or (heard.state == "tracking" and abs(self.motion["phi1_rad"] - start) > 0.02)
             ),
             "the palms moving",
         )
 
-    def _forgiven(self):
-        """Begin again after a hold or a fault for which the rig's own stall is to blame; returns nothing."""
-        if self.heard.state in ("hold", "fault") and self._felt() and self.stalled():
+    def _restart_motion(self):
+        """Resumes after a hold or a fault caused by a stall of the rig itself; returns nothing."""
+        if self.heard.state in ("hold", "fault") and self._touches() and self.stalled():
             self._begin()
 
     def _begin(self):
@@ -314,17 +314,17 @@ class Bench(Stack):
         self.client.ask("arm")
         self.client.ask("start")
 
-    def _felt(self):
+    def _touches(self):
         return all(self.heard.latest["palm/contact"][f"touch{i}"] for i in (1, 2))
 
-    # what the rig says
+    # status of the rig
 
     def until_rig(self, condition, what):
-        """Until what the rig has counted is so; returns it."""
+        """Waits for a condition on the rig's counters; returns them."""
         return wait(lambda: (status := self.rig_status()) and condition(status) and status, what)
 
     def stalled(self):
-        """Whether a slow machine has kept the rig from its work since the last `forget`, as if it were silent.
+        """Whether a slow machine has delayed the rig since the last `forget`, as if it were silent.
 
         Or its lines: pads that fall silent together have one cause, the kernel's thread for pseudo-terminals.
         """
@@ -333,7 +333,7 @@ class Bench(Stack):
         return together or self.rig_status()["stalls"] > self._stalls
 
     def truth(self):
-        """What is really there now."""
+        """The present truth."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.linger = 0
             socket.connect(self.rig_info["truth"])
@@ -342,7 +342,7 @@ class Bench(Stack):
             return msgpack.unpackb(socket.recv_multipart()[1])
 
     def at_rest(self):
-        """Wait until the palms really stand; returns the truth."""
+        """Waits until the palms truly stand; returns the truth."""
         return wait(
             lambda: (
                 (truth := self.truth())
@@ -353,7 +353,7 @@ class Bench(Stack):
         )
 
     def judge(self):
-        """What must hold whatever happens: the arm was only sent what is allowed, and nothing came unforeseen."""
+        """Checks what must always hold: only allowed set-points were sent, and no unexpected fault came."""
         status = self.rig_status()
         assert status["setpoints_outside_limits"] == 0, status
         assert status["largest_rate_deg_s"] <= RATE_DEG_S * 1.02, status
@@ -364,7 +364,7 @@ class Bench(Stack):
 
 
 def merged(settings, changes):
-    """Nested maps, the changes laid over the settings."""
+    """Nested maps, with the changes applied to the settings."""
     return settings | {
         key: merged(settings[key], value) if isinstance(value, dict) and key in settings else value
         for key, value in changes.items()
@@ -372,7 +372,7 @@ def merged(settings, changes):
 
 
 def free_ports(count):
-    """Numbers of TCP ports that nobody has."""
+    """Numbers of unused TCP ports."""
     with ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for each in sockets:

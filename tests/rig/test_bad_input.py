@@ -1,4 +1,4 @@
-"""What people get wrong, tried by name: each is said in clear words, and none stops what still works."""
+"""Common mistakes: each is reported with a clear message, and none stops what still works."""
 
 import math
 import os
@@ -19,7 +19,7 @@ UNCHANGED = ("state", "plan", "segment", "progress", "moving", "arm_state")
 
 @pytest.fixture
 def start(tmp_path):
-    """Starts a bench whose daemon has been told something wrong."""
+    """Starts a bench whose daemon has a wrong configuration."""
     started = []
 
     def begin(**changes):
@@ -31,12 +31,12 @@ def start(tmp_path):
         each.close()
 
 
-def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):
+def test_a_missing_port_is_reported_and_opened_when_it_appears(start, tmp_path):
     port = tmp_path / "not-yet"
     bench = start(pads={"palm1": {"port": str(port)}}, **LEAST_WORK)
     bench.until_faults("pad1-port")
-    bench.until(lambda _: bench.motion["arm_state"] == "R", "the arm, which is there")
-    bench.until(lambda heard: heard.latest["palm/contact"]["touch2"], "pad 2, which is there")
+    bench.until(lambda _: bench.motion["arm_state"] == "R", "the connected arm")
+    bench.until(lambda heard: heard.latest["palm/contact"]["touch2"], "the connected pad 2")
     assert f"no such port {port}" in bench.daemon.all_said
     assert bench.heard.state == "idle"
     refused = bench.client.ask("arm")
@@ -46,7 +46,7 @@ def test_a_missing_port_is_named_and_taken_when_it_comes(start, tmp_path):
     bench.run_plan()
 
 
-def test_a_port_that_another_process_holds_is_named_and_taken_when_it_is_let_go(start):
+def test_a_port_held_by_another_process_is_reported_and_opened_when_released(start):
     bench = start(**LEAST_WORK)
     bench.until_state("ready")
     bench.daemon.end()
@@ -59,7 +59,7 @@ def test_a_port_that_another_process_holds_is_named_and_taken_when_it_is_let_go(
     bench.ready()
 
 
-def test_a_wrong_baud_is_told_and_nothing_moves(start):
+def test_a_wrong_baud_rate_is_reported_and_nothing_moves(start):
     bench = start(pads={"palm1": {"baud": 19200}}, arm={"baud": 19200})
     bench.until_faults("pad1-garbled", "pad1-untouched", "arm-mute")
     bench.ticks(50)
@@ -73,7 +73,7 @@ def test_a_wrong_baud_is_told_and_nothing_moves(start):
     bench.judge()
 
 
-def test_swapped_pads_are_told(start, tmp_path):
+def test_swapped_pads_are_reported(start, tmp_path):
     bench = start(
         pads={"palm1": {"port": str(tmp_path / "ports/pad2")}, "palm2": {"port": str(tmp_path / "ports/pad1")}}
     )
@@ -91,7 +91,7 @@ def test_swapped_pads_are_told(start, tmp_path):
         ("", ":1:1:", ": is not a motion plan"),
     ],
 )
-def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
+def test_an_invalid_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     path = bench.folder / "bad.yaml"
     path.write_text(text)
     bench.run_plan()
@@ -102,9 +102,9 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     refused = bench.client.ask("plan", path="bad.yaml")
     assert refused["ok"] is False
     assert f"bad.yaml{by_name}" in refused["error"]
-    told = palmd("ctl", "plan", path, "--take", "--address", bench.bus.command)
-    assert told.returncode == 1
-    assert f"{path}{what}" in told.stderr
+    done = palmd("ctl", "plan", path, "--take", "--address", bench.bus.command)
+    assert done.returncode == 1
+    assert f"{path}{what}" in done.stderr
     after, stands = bench.client.do("status"), bench.truth()
     assert [after[key] for key in UNCHANGED] == [before[key] for key in UNCHANGED]
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
@@ -113,29 +113,29 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     bench.judge()
 
 
-def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
+def test_a_jog_beyond_the_limits_moves_nothing(bench):
     bench.ready()
     bench.client.do("arm")
     bench.until_state("tracking")
     stood = bench.at_rest()
-    told = palmd("ctl", "jog", "--phi1-deg", "90", "--take", "--address", bench.bus.command)
-    assert told.returncode == 1
-    assert "jog refused: phi1 reaches" in told.stderr
+    done = palmd("ctl", "jog", "--phi1-deg", "90", "--take", "--address", bench.bus.command)
+    assert done.returncode == 1
+    assert "jog refused: phi1 reaches" in done.stderr
     stands = bench.truth()
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
 
     def jogged(_):
-        told = palmd("ctl", "jog", "--phi2-deg", "-2", "--take", "--address", bench.bus.command)
-        assert told.returncode == 0 or "the arm does not follow yet" in told.stderr, told.stderr
-        return told.returncode == 0
+        done = palmd("ctl", "jog", "--phi2-deg", "-2", "--take", "--address", bench.bus.command)
+        assert done.returncode == 0 or "the arm does not follow yet" in done.stderr, done.stderr
+        return done.returncode == 0
 
-    bench.until(jogged, "the arm following, which on a slow machine it may not for a moment")
+    bench.until(jogged, "the arm following again after a delay of a slow machine")
     assert math.degrees(bench.at_rest()["phi2_rad"] - stood["phi2_rad"]) == pytest.approx(-2.0, abs=0.2)
     bench.judge()
 
 
 def strange_messages(count):
-    """Bytes of any kind, and commands with something wrong; never a good one."""
+    """Arbitrary bytes, and commands with an error; never a valid one."""
     chance = random.Random(7)
     wrong = [
         {"id": 1, "cmd": "jog", "args": {"phi1_deg": float("nan")}},
@@ -164,7 +164,7 @@ def strange_messages(count):
             yield [os.urandom(5) for _ in range(chance.randrange(2, 5))]
 
 
-def test_strangers_on_the_command_socket_change_nothing(bench):
+def test_invalid_messages_on_the_command_socket_change_nothing(bench):
     bench.run_plan()
     bench.forget()
     before = bench.heard.latest["palm/loop"]
@@ -181,7 +181,7 @@ def test_strangers_on_the_command_socket_change_nothing(bench):
     with_nobody_listening = bench.stranger.socket
     for frames in messages:
         with_nobody_listening.send_multipart(frames)
-    bench.until(lambda heard: heard.latest["palm/loop"]["bus_malformed"] == 2 * MESSAGES, "all of them read")
+    bench.until(lambda heard: heard.latest["palm/loop"]["bus_malformed"] == 2 * MESSAGES, "all messages counted")
     assert bench.client.do("status")["state"] == "tracking" or bench.stalled(), bench.daemon.all_said[-3000:]
     after = bench.heard.latest["palm/loop"]
     assert after["overruns"] - before["overruns"] <= 0.05 * (after["ticks"] - before["ticks"])

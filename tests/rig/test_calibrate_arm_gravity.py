@@ -1,4 +1,4 @@
-"""`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that is not what the configuration says."""
+"""`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that differs from its configuration."""
 
 import cmath
 import math
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.rig
 BASE_MM = (120.0, 0.0)
 TRUE_RIG = {"palm1_length_mm": 120.0, "palm2_length_mm": 120.0, "gravity_m_s2": 9.6}
 TRUE_ARM = {"base_x_mm": -300.0, "base_y_mm": 20.0, "base_yaw_deg": 2.0}
-ATTEMPTS = 5  # where a busy machine has kept the rig from its work
+ATTEMPTS = 5  # retries after a busy machine has delayed the rig
 
 
 class Stand(Stack):
@@ -24,7 +24,7 @@ class Stand(Stack):
 
 @pytest.fixture
 def stack(tmp_path):
-    """The true rig, yet to be started, and what else a test starts."""
+    """The true rig, not yet started, and other processes of a test."""
     with Stand(tmp_path, configured(TRUE_RIG, TRUE_ARM)) as stack:
         yield stack
 
@@ -39,7 +39,7 @@ def configured(rig, arm):
 
 
 def calibrate(stack, *arguments, mend=lambda: None):
-    """Until the rig was not kept from its work, or it has succeeded; `mend` makes up for what that has done."""
+    """Repeats until the command succeeds or the rig was not delayed; `mend` undoes the effect of a failed attempt."""
     for attempt in range(ATTEMPTS):
         stalls = stack.rig_status()["stalls"]
         done = palmd("calibrate", *arguments, timeout_s=240.0)
@@ -52,13 +52,13 @@ def calibrate(stack, *arguments, mend=lambda: None):
 
 
 def base_for(yaw_deg, palm_base):
-    """Where an arm of this yaw must stand (mm) for the palms' base to be at palm_base for it (complex)."""
+    """Position (mm) of an arm with this yaw so that the palms' base is at palm_base in its coordinates (complex)."""
     base = complex(*BASE_MM) - palm_base * cmath.exp(1j * math.radians(yaw_deg))
     return {"base_x_mm": base.real, "base_y_mm": base.imag, "base_yaw_deg": yaw_deg}
 
 
 def ready(client):
-    """Wait until the daemon is, without what an earlier attempt has left."""
+    """Waits until the daemon is ready, after clearing faults of an earlier attempt."""
 
     def look():
         state = client.do("status")["state"]
@@ -76,7 +76,7 @@ def palm_base():
     return offset * cmath.exp(-1j * math.radians(TRUE_ARM["base_yaw_deg"]))
 
 
-def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
+def test_the_arm_is_calibrated_while_a_hand_swings_it(stack, tmp_path, palm_base):
     stack.start_rig("--by-hand", "--seed", "4")
     wrong = {"palm1_length_mm": 123.0, "palm2_length_mm": 117.0}
     stack.configure(configured(wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0}), stack.rig_info)
@@ -86,7 +86,7 @@ def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
     assert called_for["rig"]["palm1_length_mm"] == pytest.approx(120.0, abs=0.2)
     assert called_for["rig"]["palm2_length_mm"] == pytest.approx(120.0, abs=0.2)
     assert complex(found["base_x_mm"], found["base_y_mm"]) == pytest.approx(palm_base, abs=0.2)
-    expected = base_for(0.0, palm_base)  # the yaw is not its business
+    expected = base_for(0.0, palm_base)  # the command does not determine the yaw
     assert [called_for["arm"][f"base_{axis}_mm"] for axis in "xy"] == pytest.approx(
         [expected[f"base_{axis}_mm"] for axis in "xy"], abs=0.2
     )
@@ -95,7 +95,7 @@ def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
 
 
 @pytest.mark.nightly
-def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
+def test_gravity_and_yaw_are_calibrated_with_a_ball(stack, tmp_path, palm_base):
     stack.start_rig("--roller", "ball", "--seed", "4")
     stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.rig_info)
     stack.begin_daemon()
@@ -108,6 +108,6 @@ def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
     result = yaml.safe_load((tmp_path / "calibration/gravity.yaml").read_text())
     found, called_for = result["found"], result["configuration"]
     assert found["yaw_error_deg"] == pytest.approx(2.0, abs=0.1)
-    assert abs(found["gravity_m_s2"] - 9.6) < 4.0 * found["gravity_sd_m_s2"] < 0.4  # few rolls, to be quick
+    assert abs(found["gravity_m_s2"] - 9.6) < 4.0 * found["gravity_sd_m_s2"] < 0.4  # few rolls, for speed
     assert called_for["arm"]["base_x_mm"] == pytest.approx(TRUE_ARM["base_x_mm"], abs=0.2)
-    assert called_for["arm"]["base_y_mm"] == pytest.approx(TRUE_ARM["base_y_mm"], abs=1.0)  # a tenth of a degree of yaw
+    assert called_for["arm"]["base_y_mm"] == pytest.approx(TRUE_ARM["base_y_mm"], abs=1.0)  # 0.1° of yaw

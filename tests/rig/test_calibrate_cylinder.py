@@ -1,6 +1,6 @@
-"""Pads calibrated by a cylinder: real rig, daemon and command, a rig that is not as the daemon believes.
+"""Pads calibrated by a cylinder: real rig, daemon and command, on a rig that differs from the daemon's configuration.
 
-Forces go the same way and take minutes: `tests/unit/calibration` finds them in a time that runs fast.
+Calibration of forces is alike and takes minutes; `tests/unit/calibration` tests it in virtual time.
 """
 
 import subprocess
@@ -23,7 +23,7 @@ LIMITS = {"phi1_deg": [20, 70], "phi2_deg": [70, 110]}
 
 
 class Stand(Stack):
-    """A rig with a cylinder on its palms, and a daemon that believes the defaults."""
+    """A rig with a cylinder on its palms, and a daemon with the default configuration."""
 
     child = Process
 
@@ -52,7 +52,7 @@ class Stand(Stack):
         wait(ready, "a daemon that is ready", pause_s=0.2)
 
     def calibrated(self):
-        """What the command stored; an operator goes on after a hold for which the machine is to blame."""
+        """The stored calibration; the operator resumes after holds caused by the machine."""
         self._ready()
         command = [sys.executable, "-P", "-m", "palmd", "calibrate", "pads", self.path, "--radius-mm", "20"]
         with subprocess.Popen([*map(str, command)], stdout=-1, stderr=-1, text=True) as process:
@@ -69,7 +69,7 @@ class Stand(Stack):
 
 
 @pytest.mark.nightly
-def test_pads_that_are_not_as_configured_are_found(tmp_path):
+def test_pads_that_differ_from_the_configuration_are_calibrated(tmp_path):
     with Stand(tmp_path) as stand:
         found = stand.calibrated()["configuration"]
         for palm, real in REAL.items():

@@ -1,4 +1,4 @@
-"""The guided first recording on the emulated rig, from its first check to the comparison with the calipers."""
+"""The guided first recording on the emulated rig, from the first check to the comparison with calipers."""
 
 import json
 
@@ -22,7 +22,7 @@ OWN_TIME_S = 15 * 60
 
 
 @pytest.mark.nightly
-def test_from_the_check_to_the_bundle_and_the_comparison(tmp_path):
+def test_capture_leads_from_the_check_to_bundle_and_comparison(tmp_path):
     plan, bundle = tmp_path / "short.yaml", tmp_path / "bundle"
     plan.write_text(yaml.safe_dump(PLAN))
     how = ("--emulated", "--seed", 3, "--objects", 1, "--plan", plan, "-o", bundle, "--zip")

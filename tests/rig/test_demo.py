@@ -1,4 +1,4 @@
-"""`palmd demo` as a process: it ends well, badly or early, and leaves nothing behind."""
+"""`palmd demo` as a process: it ends with the right status in every case and leaves nothing behind."""
 
 import contextlib
 import os
@@ -26,14 +26,14 @@ SUMMARY = re.compile(
     r"omega0 \d\.\d{3} rad/s, "
     r"rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, "
     r"work p99 \d+\.\d ms, rig with residual calibration errors"
-    r"(, which \d+ times got no processor, for \d+\.\d\d s in all)?\n"  # where this machine had none to give
+    r"(, which \d+ times got no processor, for \d+\.\d\d s in all)?\n"  # printed if the machine was busy
 )
 
 
 class Demo:
-    """The command, marked so that every process of it can be found, with a folder of its own for what is temporary.
+    """The command, marked so that all its processes can be found, with its own folder for temporary files.
 
-    It is called in the folder `here`.
+    It runs in the folder `here`.
     """
 
     def __init__(self, folder, here, *arguments):
@@ -46,14 +46,14 @@ class Demo:
         )  # fmt: skip
 
     def wait_for(self, text):
-        """Until a line of standard error holds the text."""
+        """Waits until a line of standard error contains the text."""
         for line in self.process.stderr:
             if text in line:
                 return
         raise AssertionError(f"it ended without {text!r}")
 
     def end(self):
-        """Status and output, once it has ended and left nothing behind."""
+        """Status and output after it has ended; checks that nothing is left."""
         out, err = self.process.communicate(timeout=60)
         assert "Traceback" not in err
         assert self.processes() == {}
@@ -61,7 +61,7 @@ class Demo:
         return self.process.returncode, out, err
 
     def processes(self):
-        """Its processes that are alive: command line by number."""
+        """Its living processes: command line by number."""
         found = {}
         for entry in Path("/proc").iterdir():
             with contextlib.suppress(OSError):
@@ -70,7 +70,7 @@ class Demo:
         return found
 
     def child(self, command):
-        """The number of the process that runs this command; what has its line too was begun by it, as a copy."""
+        """Number of the process that runs this command; forked copies with the same line are excluded."""
         return min(number for number, line in self.processes().items() if command in line)
 
 
@@ -92,7 +92,7 @@ def demo(tmp_path, tmp_path_factory):
 
 @pytest.fixture
 def busy_defaults():
-    """The default addresses in other hands, if they are not already."""
+    """Occupies the default addresses, unless they are occupied already."""
     with zmq.Context() as context, contextlib.ExitStack() as stack:
         for address in (PUBLISH, COMMAND):
             with contextlib.suppress(zmq.ZMQError):
@@ -105,11 +105,11 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     begun = time.monotonic()
     running = demo("--seconds", "8", "--seed", "3")
     status, out, err = running.end()
-    settled = bool(SUMMARY.fullmatch(out))  # which takes longer where others keep the processors
+    settled = bool(SUMMARY.fullmatch(out))  # may not happen in time on a busy machine
     assert status == (0 if settled else 3), out + err
     assert settled or "shape observer never settled" in out
     assert "palmd top --address tcp://127.0.0.1:" in err
-    assert re.search(r" \d s  tracking", err), err  # a line that says nothing new is not repeated within 10 s
+    assert re.search(r" \d s  tracking", err), err  # unchanged status is not repeated within 10 s
     (path,) = (running.here / "runs").iterdir()
     assert f"recorded in {path}\n" in err
     run = read_run(path)
@@ -122,10 +122,10 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     check = subprocess.run(
         [sys.executable, "-m", "palmd", "replay", str(path), "--check"], capture_output=True, text=True
     )
-    assert check.returncode == 0, check.stdout + check.stderr  # what was live is said again, bit for bit
+    assert check.returncode == 0, check.stdout + check.stderr  # the replay repeats the live estimates bit for bit
 
 
-def test_once_settled_it_ends_well_when_it_is_asked_to(demo):
+def test_it_ends_with_success_on_request_once_valid(demo):
     running = demo("--seed", "3")
     running.wait_for(" mm  rho ")
     running.process.send_signal(signal.SIGINT)
@@ -134,7 +134,7 @@ def test_once_settled_it_ends_well_when_it_is_asked_to(demo):
     assert list(running.here.iterdir())
 
 
-def test_it_ends_before_it_has_settled_and_records_nothing_unless_that_is_wanted(demo):
+def test_it_ends_early_without_an_estimate_and_records_only_on_request(demo):
     running = demo("--seed", "3", "--no-record")
     running.wait_for("0 s  tracking")
     running.process.send_signal(signal.SIGTERM)
@@ -145,7 +145,7 @@ def test_it_ends_before_it_has_settled_and_records_nothing_unless_that_is_wanted
 
 
 @pytest.mark.parametrize("child", ["run", "rig"])
-def test_it_says_so_when_one_of_them_dies(demo, child):
+def test_it_reports_the_death_of_a_child(demo, child):
     running = demo("--seed", "3")
     running.wait_for("0 s  tracking")
     os.kill(running.child(child), signal.SIGKILL)
@@ -157,7 +157,7 @@ def test_it_says_so_when_one_of_them_dies(demo, child):
 def test_its_children_end_with_it(demo):
     running = demo("--seed", "3")
     running.wait_for("PlotJuggler")
-    assert len(running.processes()) >= 3  # itself, the rig, the daemon; and the daemon's smoother once it is there
+    assert len(running.processes()) >= 3  # itself, the rig, the daemon, and possibly the daemon's smoother
     running.process.kill()
     running.process.wait()
     deadline = time.monotonic() + 10.0
@@ -166,7 +166,7 @@ def test_its_children_end_with_it(demo):
         time.sleep(0.05)
 
 
-def test_bad_input_is_passed_on_with_its_status(demo, tmp_path_factory):
+def test_invalid_configurations_are_reported_with_their_exit_status(demo, tmp_path_factory):
     config = tmp_path_factory.mktemp("config") / "bad.yaml"
     config.write_text("pads: {palm1: {port: a}, palm2: {port: b}}\narm: {port: c}\nplan: none.yaml\n")
     status, _, err = demo("--config", str(config), "--seed", "1").end()
@@ -174,11 +174,11 @@ def test_bad_input_is_passed_on_with_its_status(demo, tmp_path_factory):
     assert "none.yaml" in err
 
 
-def test_mujoco_moves_the_object_over_the_wires(demo):
+def test_mujoco_moves_the_object(demo):
     pytest.importorskip("mujoco", reason="mujoco is not installed: the extra `mujoco` has it")
     running = demo("--physics", "mujoco", "--seconds", "4", "--seed", "2", "--no-record")
     status, out, err = running.end()
-    assert status in (0, 3), out + err  # whether it settles so soon is a matter of the processors
+    assert status in (0, 3), out + err  # depends on processor time
     assert out.startswith("palmd demo: seed 2, "), err
     assert "rig with residual calibration errors in MuJoCo" in out
     deepest = re.search(r"deepest penetration in MuJoCo: (\d\.\d) µm\n", err)

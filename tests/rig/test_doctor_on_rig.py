@@ -7,7 +7,7 @@ from palmd.devices.armconformance import CHECKS
 
 pytestmark = pytest.mark.rig
 
-GENTLE = {"rate_deg_s": 60, "acceleration_deg_s2": 300}  # so that one cycle's clamp is within reach of the test
+GENTLE = {"rate_deg_s": 60, "acceleration_deg_s2": 300}  # so that the test can exceed one cycle's clamp
 
 
 def rigs(folder):
@@ -24,7 +24,7 @@ def rig(tmp_path_factory):
 
 @pytest.fixture
 def own_rig(tmp_path):
-    """For a test that may leave the arm in a fault."""
+    """A rig for a test that may leave the arm in a fault."""
     yield from rigs(tmp_path)
 
 
@@ -40,7 +40,7 @@ def test_the_emulated_arm_conforms(own_rig):
     assert own_rig.hand.do("status")["arm_state"] == "R"
 
 
-def test_without_leave_nothing_is_told_to_track(rig):
+def test_without_permission_no_tracking_is_requested(rig):
     starts = rig.hand.do("status")["starts"]
     done = doctor("--arm-conformance", "--port", rig.found["arm"])
     assert done.returncode != 0
@@ -71,7 +71,7 @@ def test_a_late_arm_does_not_conform(rig):
     assert "FAIL" in done.stdout or "within" in done.stdout
 
 
-def test_the_list_with_a_rig_behind_the_ports(rig):
+def test_findings_with_a_rig_on_the_ports(rig):
     lines = {line[13:31].strip(): line[:12].strip() for line in doctor(rig.config).stdout.splitlines()}
     wanted = ("pad 1 port", "pad 1 talks", "pad 2 talks", "arm port", "arm answers", "bus", "configuration")
     assert {what: lines[what] for what in wanted} == dict.fromkeys(wanted, "ok")

@@ -1,6 +1,6 @@
-"""What README and docs have typed beside a daemon does what they say: each block is run, in its order on its page.
+"""Commands of README and docs that need a daemon work as documented: each block is run in the order of its page.
 
-Blocks that need none: `tests/unit/test_documentation_runs.py`. Why a block is not run at all stands above it.
+`tests/unit/test_documentation_runs.py` runs the others. Blocks that are not run state the reason above them.
 """
 
 import re
@@ -40,7 +40,7 @@ def test_blocks_of(page, bench, tmp_path):
 
 
 def prepared(bench, moving):
-    """A daemon whose palms move, so that they can be held or stopped; else one that is ready, in nobody's control."""
+    """A daemon whose palms move, so that they can be held or stopped; else a ready one without an operator."""
     if not bench.daemon.alive:
         bench.start_daemon(limits=LIMITS)
     bench.ready()
@@ -53,6 +53,6 @@ def prepared(bench, moving):
 
 
 def until_ready(command):
-    """The daemon that a page has started."""
+    """Waits for the daemon that the page has started."""
     with CommandClient(command, docreader.PATIENCE_S) as client:
         wait(lambda: client.ask("status")["result"]["state"] == "ready", "state ready")

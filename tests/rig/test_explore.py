@@ -1,4 +1,4 @@
-"""Exploring on the rig: daemon, rig and explorer as processes; what becomes of it when the explorer is lost."""
+"""Exploration with daemon, rig and explorer as processes, and recovery from the loss of the explorer."""
 
 import os
 import signal
@@ -18,24 +18,24 @@ GRAVE = ("hold", "stop")
 
 
 def explore(bench):
-    """The palms explore, and the first decisions have come."""
+    """Starts an exploration and waits for the first decisions."""
     bench.ready()
     plan = bench.folder / "explore.yaml"
     plan.write_text(PLAN)
     bench.client.do("plan", path=str(plan))
     bench.client.do("arm")
     bench.client.do("start")
-    until(bench, lambda heard: heard.latest["palm/estimate"]["valid"], "a valid estimate, by rocking alone")
+    until(bench, lambda heard: heard.latest["palm/estimate"]["valid"], "a valid estimate from rocking")
     until(bench, lambda _: coverage(bench), "a decision")
 
 
 def until(bench, condition, what):
-    """As the bench's own; a hold or a fault for which a slow machine is to blame is started out of."""
+    """As the bench's own; resumes after holds and faults caused by a slow machine."""
     bench.until(lambda heard: bench._forgiven() or condition(heard), what)
 
 
 def coverage(bench):
-    """What is told of it, 0 before the first decision."""
+    """The published coverage, 0 before the first decision."""
     return bench.client.do("status").get("explored", {}).get("coverage") or 0.0
 
 
@@ -47,7 +47,7 @@ def explorer_number(bench):
     return number
 
 
-def test_coverage_grows_from_a_blind_start_and_stop_stops_it(own_bench):
+def test_coverage_grows_from_a_start_without_estimate_and_stop_ends_it(own_bench):
     bench = own_bench
     explore(bench)
     begun = coverage(bench)
@@ -64,7 +64,7 @@ def test_coverage_grows_from_a_blind_start_and_stop_stops_it(own_bench):
     assert bench.daemon.end() == 0
 
 
-def test_an_explorer_that_stops_is_replaced_and_the_palms_go_on(own_bench):
+def test_a_stopped_explorer_is_replaced_and_the_palms_continue(own_bench):
     bench = own_bench
     explore(bench)
     number = explorer_number(bench)

@@ -1,4 +1,4 @@
-"""Whatever goes wrong on the rig, the daemon does what its table of faults says, and the arm is safe."""
+"""For every injected fault the daemon reacts as its fault table says, and the arm stays safe."""
 
 import signal
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ SILENCES = 8
 
 @dataclass(frozen=True)
 class Case:
-    """A trick on ports, the faults that must come of it, and other grave ones that may."""
+    """A fault on ports, the expected faults, and other severe ones that may occur."""
 
     name: str
     ports: tuple
@@ -28,7 +28,7 @@ class Case:
 
     @property
     def state(self):
-        """Where the gravest of the expected faults leads."""
+        """The state that the most severe expected fault leads to."""
         severities = {str(TABLE[code].severity) for code in self.expected}
         return "fault" if "stop" in severities else "hold" if "hold" in severities else "tracking"
 
@@ -37,12 +37,12 @@ class Case:
 
 
 def both(*kinds):
-    """These kinds of faults, of both pads."""
+    """These kinds of faults for both pads."""
     return tuple(f"pad{i}-{kind}" for i in (1, 2) for kind in kinds)
 
 
 CASES = (
-    # what a pad's line does: noise degrades, silence holds
+    # a pad's line: noise degrades, silence holds
     Case("garble", PADS, both("garbled"), strength=0.2, may=both("silent", "lifted")),
     Case("drop", PADS, both("garbled"), strength=0.15, may=both("silent")),
     Case("misbaud", PADS, both("silent", "garbled")),
@@ -50,12 +50,12 @@ CASES = (
     Case("unplug", PADS, both("port")),
     Case("late", PADS, both("silent"), strength=0.2),
     Case("burst", PADS, both("batched")),
-    # what lies on the pads
+    # the object on the pads
     Case("saturate", PADS, ("force-limit",)),
     Case("touch", PADS),
     Case("lift", OBJECT, both("lifted")),
     Case("swap", OBJECT, both("lifted")),
-    # what the arm's line does: a little degrades, silence stops
+    # the arm's line: a few errors degrade, silence stops
     Case("garble", ARM, ("arm-garbled",), strength=0.006),
     Case("drop", ARM, ("arm-garbled",), strength=0.006),
     Case("garble", ARM, ("arm-link-lost",), strength=0.2, may=("arm-fault",)),
@@ -65,19 +65,19 @@ CASES = (
     Case("unplug", ARM, ("arm-port",), may=("arm-fault", "arm-link-lost")),
     Case("late", ARM, ("arm-late",), strength=0.12),
     Case("burst", ARM, ("arm-late",), strength=0.12),
-    # what the controller does
+    # the controller
     Case("break", ARM, ("arm-fault",), may=("arm-left-tracking",)),
     Case("estop", ARM, ("arm-estop",)),
     Case("power_off", ARM, ("arm-power-off",)),
     Case("manual", ARM, ("arm-manual",)),
-    # an arm that does not do what it is told, or does not report what it does
+    # an arm that does not move as commanded, or does not report its motion
     Case("block", ARM, ("following-error",)),
     Case("freeze", ARM, ("following-error",)),
     Case("jump", ARM, ("pose-implausible",), may=("following-error",)),
 )
 
 
-def test_every_trick_is_tried():
+def test_every_injection_is_tested():
     assert {case.name for case in CASES} == INJECTABLE_FAULTS.keys()
     assert {(case.name, port) for case in CASES for port in case.ports if port} == {
         (trick.name, port) for trick in INJECTABLE_FAULTS.values() for port in trick.ports
@@ -85,7 +85,7 @@ def test_every_trick_is_tried():
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_the_daemon_does_what_the_table_says(bench, case):
+def test_the_daemon_reacts_as_the_table_says(bench, case):
     bench.run_plan()
     bench.forget()
     for port in case.ports:
@@ -93,7 +93,7 @@ def test_the_daemon_does_what_the_table_says(bench, case):
     bench.until_faults(*case.expected)
     if case.state != "tracking":
         bench.until_state(case.state)
-    bench.ticks(20)  # it goes on estimating and publishing
+    bench.ticks(20)  # estimates are still published
     assert bench.heard.faults.items() >= {code: str(TABLE[code].severity) for code in case.expected}.items()
     grave = {code for code, severity in bench.heard.faults.items() if severity in GRAVE}
     assert grave <= {*case.expected, *case.may} or bench.stalled()
@@ -102,14 +102,14 @@ def test_the_daemon_does_what_the_table_says(bench, case):
     passing = [code for code in case.expected if TABLE[code].latch == "no"]
     bench.until_gone(*passing, *both("untouched"))
     if bench.heard.state == "fault":
-        stands_still_until_it_is_reset(bench, [code for code in case.expected if code not in passing])
+        assert_rest_until_reset(bench, [code for code in case.expected if code not in passing])
     elif bench.heard.state == "hold":
-        stands_still_until_it_is_started(bench)
+        assert_rest_until_start(bench)
     bench.moving()
     bench.judge()
 
 
-def stands_still_until_it_is_reset(bench, latched):
+def assert_rest_until_reset(bench, latched):
     before = bench.rig_status()
     bench.ticks(20)
     assert bench.heard.state == "fault"
@@ -126,7 +126,7 @@ def stands_still_until_it_is_reset(bench, latched):
     bench.run_plan()
 
 
-def stands_still_until_it_is_started(bench):
+def assert_rest_until_start(bench):
     bench.at_rest()
     bench.ticks(20)
     assert (bench.heard.state, bench.rig_status()["arm_state"]) == ("hold", "T")
@@ -134,7 +134,7 @@ def stands_still_until_it_is_started(bench):
 
 
 @pytest.mark.parametrize(("port", "code", "promised_s"), [("pad1", "pad1-silent", 0.1), ("arm", "arm-link-lost", 0.25)])
-def test_silence_is_noticed_in_time(bench, port, code, promised_s):
+def test_silence_is_detected_in_time(bench, port, code, promised_s):
     bench.run_plan()
     bench.forget()
     before = bench.truth()["mono_ns"] * 1e-9
@@ -144,8 +144,8 @@ def test_silence_is_noticed_in_time(bench, port, code, promised_s):
     bench.until_gone(code) if port != "arm" else bench.ready()
 
 
-def test_after_a_short_silence_the_arm_is_caught_up_with_gently(bench):
-    """The controller holds after 48 ms; set-points begin again where it stands, and walk back to the path."""
+def test_motion_resumes_smoothly_after_a_short_silence_of_the_arm(bench):
+    """The controller holds after 48 ms; set-points start again at its pose and return to the path."""
     bench.run_plan()
     bench.forget()
     for _ in range(SILENCES):
@@ -157,8 +157,8 @@ def test_after_a_short_silence_the_arm_is_caught_up_with_gently(bench):
     bench.judge()
 
 
-def test_the_operator_may_go_on_while_a_pad_is_late(bench):
-    """Only the change tears a hole into what a pad says; what is as late as ever does not hold the motion."""
+def test_motion_may_continue_while_a_pad_is_constantly_late(bench):
+    """Only the change of the delay leaves a gap in the pad's data; a constant delay does not hold the motion."""
     bench.run_plan()
     bench.ask_rig("mischief", name="late", port="pad1", strength=0.2)
     bench.until_state("hold")
@@ -168,7 +168,7 @@ def test_the_operator_may_go_on_while_a_pad_is_late(bench):
     bench.ask_rig("calm", name="late")
 
 
-def test_an_emergency_stop_is_not_reset_from_here(bench):
+def test_an_emergency_stop_cannot_be_reset_by_a_client(bench):
     bench.run_plan()
     bench.ask_rig("mischief", name="estop")
     bench.until_state("fault")
@@ -183,7 +183,7 @@ def test_an_emergency_stop_is_not_reset_from_here(bench):
     bench.judge()
 
 
-def test_another_object_is_another_object(bench):
+def test_exchanging_the_object_begins_a_new_one(bench):
     bench.run_plan()
     before = bench.heard.latest["palm/estimate"]["object"]
     bench.ask_rig("mischief", name="swap")
@@ -191,12 +191,12 @@ def test_another_object_is_another_object(bench):
     bench.until(lambda heard: heard.latest["palm/estimate"]["object"] > before, "a new object")
 
 
-def test_a_daemon_that_was_stopped_for_a_second_does_not_make_up_for_it(bench):
+def test_a_daemon_stopped_for_a_second_does_not_compensate_for_it(bench):
     bench.run_plan()
     bench.forget()
     overruns = bench.heard.latest["palm/loop"]["overruns"]
     bench.daemon.send(signal.SIGSTOP)
-    before = bench.until_rig(lambda status: status["arm_state"] == "F", "the controller to give up")
+    before = bench.until_rig(lambda status: status["arm_state"] == "F", "the controller's fault")
     bench.daemon.send(signal.SIGCONT)
     bench.until_state("fault")
     bench.until(lambda heard: heard.latest["palm/loop"]["overruns"] > overruns, "overruns counted")
@@ -207,11 +207,11 @@ def test_a_daemon_that_was_stopped_for_a_second_does_not_make_up_for_it(bench):
     bench.judge()
 
 
-def test_a_killed_daemon_leaves_an_arm_that_holds_and_the_next_one_moves_nothing(light_bench):
+def test_after_a_killed_daemon_the_arm_holds_and_the_next_daemon_moves_nothing(light_bench):
     bench = light_bench
     bench.run_plan()
     assert bench.daemon.end(signal.SIGKILL) == -signal.SIGKILL
-    before = bench.until_rig(lambda status: status["arm_state"] == "F", "the controller to give up")
+    before = bench.until_rig(lambda status: status["arm_state"] == "F", "the controller's fault")
     stood = bench.at_rest()
     bench.start_daemon(plan=None, **LEAST_WORK)
     bench.until_state("ready", "fault")
@@ -231,7 +231,7 @@ def test_a_killed_daemon_leaves_an_arm_that_holds_and_the_next_one_moves_nothing
     assert bench.until_rig(lambda status: status["arm_state"] == "T", "tracking")["resets"] == before["resets"] + 1
 
 
-def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(light_bench):
+def test_a_terminated_daemon_stops_the_arm(light_bench):
     bench = light_bench
     bench.run_plan()
     t = bench.truth()["mono_ns"]
@@ -246,13 +246,13 @@ def test_a_daemon_asked_to_end_brings_the_arm_to_a_stop(light_bench):
     bench.run_plan()
     bench.ask_rig("mischief", name="mute", port="arm")
     t = bench.truth()["mono_ns"]
-    assert bench.daemon.end(signal.SIGTERM) == 3  # nobody has confirmed that the arm stands
+    assert bench.daemon.end(signal.SIGTERM) == 3  # the arm's standstill is not confirmed
     assert (bench.truth()["mono_ns"] - t) * 1e-9 < 2 * 2.0
-    bench.until_rig(lambda status: status["arm_state"] == "F", "the controller to give up")
+    bench.until_rig(lambda status: status["arm_state"] == "F", "the controller's fault")
     bench.judge()
 
 
-def test_a_rig_that_goes_and_comes_back(light_bench):
+def test_a_rig_that_restarts_is_connected_again(light_bench):
     bench = light_bench
     bench.run_plan()
     bench.forget()

@@ -1,4 +1,4 @@
-"""`palmd doctor latency` as a whole: every case is measured, and nothing is left behind."""
+"""`palmd doctor latency` measures every case and leaves nothing behind."""
 
 import os
 import subprocess

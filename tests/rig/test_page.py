@@ -1,4 +1,4 @@
-"""The live page in a real browser, on `palmd demo`: what it shows, what its buttons do, and when it calls data old."""
+"""The live page in a real browser on `palmd demo`: its contents, its buttons, and when it marks data as stale."""
 
 import os
 import re
@@ -18,14 +18,14 @@ ATTEMPTS = 8
 
 
 class DisturbedError(Exception):
-    """A fault, or a daemon that was kept from its work."""
+    """A fault, or a delay of the daemon."""
 
 
 class DemoPage(Page):
     """The demo's page."""
 
     def set_going(self):
-        """Until the palms move, whatever state they are in."""
+        """Brings the palms to move from any state."""
 
         def look():
             for command in sorted(self.enabled() & {"reset", "arm", "start"}):
@@ -35,7 +35,7 @@ class DemoPage(Page):
         self.until(look, "the palms to move")
 
     def calmly(self, condition, what):
-        """As `until`, but raises DisturbedError as soon as something else than the test stops the palms."""
+        """As `until`, but raises DisturbedError as soon as a fault stops the palms."""
 
         def look():
             if self.text("grave") or self.text("state") == "fault" or self.shows("stale"):
@@ -86,9 +86,9 @@ def parent(entry):
     return int((entry / "stat").read_text().rpartition(")")[2].split()[1])
 
 
-def test_it_shows_the_object_and_does_what_is_pressed(page):
+def test_it_shows_the_object_and_executes_commands(page):
     page.until(lambda: page.object_drawn() > 3000, "the object", SETTLING_S)
-    page.until(lambda: page.shows("key-truth"), "the rig's truth, which comes by a wire of its own")
+    page.until(lambda: page.shows("key-truth"), "the rig's truth")
     page.until(lambda: min(page.drawn("blue"), page.drawn("red")) > 300, "both palms")
     page.until(lambda: float(page.text("fps").split()[0]) > 10, "a moving picture")
     unless_disturbed(page, hold_and_start)
@@ -102,9 +102,9 @@ def hold_and_start(page):
     page.calmly(lambda: page.text("answer") == "hold: done", "the answer")
     page.calmly(lambda: page.text("state") == "hold", "the hold")
     page.calmly(lambda: page.enabled() == {"start", "stop"}, "the commands while held")
-    page.double_click("start")  # is one press
+    page.double_click("start")  # counts as one press
     page.calmly(lambda: "press again" in page.text("answer"), "the guard")
-    page.calmly(lambda: page.text("answer") == "", "the first press to be forgotten")
+    page.calmly(lambda: page.text("answer") == "", "the first press to expire")
     page.calmly(lambda: page.text("state") == "hold", "the hold, still")
     page.press_twice("start")
     page.calmly(lambda: page.text("answer") == "start: done", "the answer")
@@ -122,7 +122,7 @@ def stop_and_arm(page):
 
 
 def unless_disturbed(page, story):
-    """The story, told again when a fault or a stall came in between, as they do on a machine with much else to do."""
+    """Runs the scenario, and repeats it after a fault or a delay, as they occur on a busy machine."""
     for _ in range(ATTEMPTS):
         page.set_going()
         try:
@@ -132,7 +132,7 @@ def unless_disturbed(page, story):
     raise AssertionError(f"disturbed {ATTEMPTS} times: {page.text('grave')}")
 
 
-def test_a_phone_sees_it_all_and_may_watch_without_the_token(page):
+def test_a_phone_shows_everything_and_may_watch_without_the_token(page):
     page.resize(*PHONE)
     page.script("sessionStorage.clear()")
     page.open(token=False)
@@ -146,18 +146,18 @@ def test_a_phone_sees_it_all_and_may_watch_without_the_token(page):
     assert page.errors() == []
 
 
-def test_it_says_so_within_a_second_when_the_daemon_is_gone(page, demo):
+def test_it_reports_a_lost_daemon_within_a_second(page, demo):
     number = child(demo, "run")
 
-    def seconds_to_tell(signal_number):
+    def seconds_until_stale(signal_number):
         t_begin = time.monotonic()
         os.kill(number, signal_number)
         page.until(lambda: page.shows("stale"), "stale")
         return time.monotonic() - t_begin
 
     def paused():
-        """Stands still for a while, as if the machine did; a slow browser's first time is not counted."""
-        took = seconds_to_tell(signal.SIGSTOP)
+        """Pauses the daemon for a while; the minimum of several excludes the browser's first, slow reaction."""
+        took = seconds_until_stale(signal.SIGSTOP)
         assert page.text("stale-why") == "Stale: no data from palmd."
         assert page.enabled() == {"stop"}
         os.kill(number, signal.SIGCONT)
@@ -165,7 +165,7 @@ def test_it_says_so_within_a_second_when_the_daemon_is_gone(page, demo):
         return took
 
     assert min(paused() for _ in range(3)) < STALE_S
-    assert seconds_to_tell(signal.SIGKILL) < STALE_S
+    assert seconds_until_stale(signal.SIGKILL) < STALE_S
     page.until(lambda: page.shows("ended"), "the end of the demo")
     assert page.text("ended-title") == "The demo has ended"
     assert "Disconnected" in page.text("stale-why")

@@ -1,4 +1,4 @@
-"""The recorder as a process beside the real daemon: nothing is missing, whoever dies."""
+"""The recorder as a process beside the real daemon: nothing is missing, whichever process ends."""
 
 import signal
 import time
@@ -24,20 +24,20 @@ def recorded(tmp_path):
 
 
 def path_of_the_run(bench):
-    """Where the recorder says that it writes to."""
+    """The path that the recorder reports."""
     recorder = wait(lambda: bench.client.do("status").get("recorder"), "the recorder's voice", pause_s=0.1)
     assert "problem" not in recorder
     return Path(wait(lambda: bench.client.do("status")["recorder"].get("path"), "a file", pause_s=0.1))
 
 
 def packed(path):
-    """The run, once the recorder has packed it."""
+    """The recording, once the recorder has packed it."""
     wait(lambda: is_packed(path), f"{path} packed")
-    wait(lambda: {*path.parent.glob(".*")} <= {*path.parent.glob(".*.lock")}, "an end of what is temporary")
+    wait(lambda: {*path.parent.glob(".*")} <= {*path.parent.glob(".*.lock")}, "the end of temporary files")
     return read_run(path)
 
 
-def test_a_run_is_kept_from_its_first_message_to_its_last_whether_the_daemon_ends_or_dies(recorded):
+def test_a_recording_is_complete_whether_the_daemon_ends_or_is_killed(recorded):
     path = path_of_the_run(recorded)
     recorded.ticks(300)
     assert recorded.daemon.end() == 0
@@ -70,7 +70,7 @@ def test_a_run_is_kept_from_its_first_message_to_its_last_whether_the_daemon_end
     assert (found.first, found.missing) == (0, 0)
 
 
-def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(light_bench, tmp_path):
+def test_a_killed_recorder_loses_almost_nothing_and_disturbs_nothing(light_bench, tmp_path):
     recorder = light_bench.begin("recorder", "record", light_bench.path)
     path = path_of_the_run(light_bench)
     light_bench.ticks(100)
@@ -99,7 +99,7 @@ def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(light_
     light_bench.judge()
 
 
-def test_a_directory_that_cannot_be_written_is_a_fault_and_no_more(light_bench, tmp_path):
+def test_a_directory_that_cannot_be_written_is_a_reported_fault(light_bench, tmp_path):
     (tmp_path / "runs").write_text("in the way")
     recorder = light_bench.begin("recorder", "record", light_bench.path)
     light_bench.until_faults("recorder-failed")

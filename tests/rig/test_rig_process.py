@@ -25,7 +25,7 @@ pytestmark = pytest.mark.rig
 
 @pytest.fixture
 def rig(tmp_path):
-    """Starts the rig; it must end cleanly and say nothing else than its JSON line."""
+    """Starts the rig; it must end without error and print only its JSON line."""
 
     @contextlib.contextmanager
     def start(*arguments):
@@ -50,7 +50,7 @@ def hear(port, seconds):
     return data
 
 
-def test_the_ports_folder_is_made(rig, tmp_path):
+def test_the_ports_folder_is_created(rig, tmp_path):
     folder = tmp_path / "new" / "ports"
     with rig("--ports", str(folder)) as (_, found):
         assert found["pad1"] == str(folder / "pad1")
@@ -88,21 +88,21 @@ def test_ports_speak_the_protocols_and_truth_is_published(rig):
         assert len(seen[b"rig/object"]["h_m"]) == 360
 
 
-def test_a_rig_that_was_stopped_says_for_how_long(rig):
+def test_a_paused_rig_publishes_the_duration(rig):
     with rig("--seed", "5") as (process, found), Subscriber(found["truth"], topics=("rig/",)) as truth:
         assert list(truth.frames(1, 5.0))
         process.send(signal.SIGSTOP)
         time.sleep(0.15)
         process.send(signal.SIGCONT)
-        told, deadline = [], time.monotonic() + 20.0
-        while not told or told[-1]["lasted_s"] < 0.1:  # a busy machine may have had it wait besides
-            assert time.monotonic() < deadline, f"no word of the pause; stalls: {told}"
-            told += [msgpack.unpackb(payload) for topic, payload, _ in truth.frames(1, 1.0) if topic == b"rig/stall"]
-        assert told[-1]["count"] == len(told)
-        assert abs(told[-1]["t_s"] - time.monotonic()) < 5.0
+        stalls, deadline = [], time.monotonic() + 20.0
+        while not stalls or stalls[-1]["lasted_s"] < 0.1:  # a busy machine may have paused it too
+            assert time.monotonic() < deadline, f"the pause is not reported; stalls: {stalls}"
+            stalls += [msgpack.unpackb(payload) for topic, payload, _ in truth.frames(1, 1.0) if topic == b"rig/stall"]
+        assert stalls[-1]["count"] == len(stalls)
+        assert abs(stalls[-1]["t_s"] - time.monotonic()) < 5.0
 
 
-def test_control_switches_mischief_and_survives_strangers(rig):
+def test_the_control_socket_injects_faults_and_rejects_invalid_requests(rig):
     with rig("--seed", "5", "--kind", "nominal") as (_, found), Client(found["control"]) as client:
         assert client.do("status")["kind"] == "nominal"
         client.do("mischief", name="mute", port="pad1", for_s=60.0)
@@ -136,7 +136,7 @@ def test_unplugging_moves_the_port(rig):
             assert VersaPadDecoder(9600).feed(hear(pad, 0.4), 1.0)
 
 
-def test_a_configuration_is_obeyed(rig, tmp_path):
+def test_a_configuration_is_applied(rig, tmp_path):
     config = tmp_path / "palmd.yaml"
     config.write_text(
         "pads:\n  palm1: {port: a, baud: 19200}\n  palm2: {port: b}\narm: {port: c}\n"
@@ -176,5 +176,5 @@ def test_it_ends_with_its_parent_and_leaves_nothing_behind():
     while Path(found["arm"]).parent.exists():
         if time.monotonic() > deadline:
             os.kill(int(pid), signal.SIGKILL)
-            pytest.fail("the rig outlived its parent by ten seconds")
+            pytest.fail("the rig still runs ten seconds after its parent")
         time.sleep(0.02)

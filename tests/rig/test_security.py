@@ -1,4 +1,4 @@
-"""A whole daemon with keys, open to the network: who has none hears nothing and moves nothing."""
+"""A whole daemon with keys, open to the network: a client without a key receives nothing and moves nothing."""
 
 import contextlib
 import json
@@ -21,7 +21,7 @@ MOVING = ("arm", "start", "jog", "plan", "reset", "hold", "stop")
 
 @pytest.fixture
 def guarded(tmp_path):
-    """A daemon with keys on a rig, a recorder beside it; the bench's own client and subscriber have no key."""
+    """A daemon with keys on a rig, with a recorder; the bench's own client and subscriber have no key."""
     own = tmp_path / "keys"
     keys.make_pair(own, "server")
     for name in ("ann", "desk", "stranger"):
@@ -37,7 +37,7 @@ def guarded(tmp_path):
     bench.close()
 
 
-def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
+def test_only_clients_with_keys_receive_and_command(guarded, tmp_path):
     publish, command = guarded.reach
 
     def key(name):
@@ -61,7 +61,7 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         wait(lambda: status()["state"] == "ready", "ready", pause_s=0.1)
         for name in MOVING:
             for stranger in (plain.socket, unknown._socket):
-                with contextlib.suppress(zmq.Again):  # who was turned away has nowhere to send to
+                with contextlib.suppress(zmq.Again):  # a rejected client has nowhere to send to
                     stranger.send(msgpack.packb({"id": 1, "cmd": name}), zmq.NOBLOCK)
         assert palmd("ctl", "status", "--address", command)[0] == 3
         assert palmd("ctl", "arm", "--address", command, "--key", tmp_path / "stranger.key_secret")[0] == 3

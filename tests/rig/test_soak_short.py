@@ -1,4 +1,4 @@
-"""The study soak, its short form: half a minute with real processes; slopes and lateness are not judged."""
+"""The study soak in short form: 30 s with real processes; slopes and lateness are not judged."""
 
 import json
 
@@ -11,7 +11,7 @@ SEED = 170
 
 
 def soaked(folder):
-    """Exit status, what was done and the findings by name."""
+    """Exit status, the acts, and the findings by name."""
     done = run_study("soak", "--seconds", "25", "--seed", SEED, "-o", folder, timeout_s=150)
     rows = [json.loads(line) for line in (folder / "soak.jsonl").read_text().splitlines()]
     findings = {row["name"]: row for row in rows if row["row"] == "finding"}
@@ -19,7 +19,7 @@ def soaked(folder):
 
 
 @pytest.mark.nightly
-def test_half_a_minute(tmp_path):
+def test_half_a_minute_of_soak_meets_every_judged_goal(tmp_path):
     status, done, findings = soaked(tmp_path / "soak")
     assert [name for name, row in findings.items() if row["met"] is False] == []
     assert status == 0

@@ -1,4 +1,4 @@
-"""Pads of every kind and servos as processes on pseudo-terminals: doctor, the daemon, a palm that moves."""
+"""Pads of every kind and servos as processes on pseudo-terminals: doctor, the daemon, a moving palm."""
 
 import pytest
 from harness import Client, LoneRig, Process, palmd, wait

@@ -1,6 +1,6 @@
-"""A wheel that carries kernels, in an environment without a compiler or a cache: doctor and demo run on compiled code.
+"""A wheel with kernels in an environment without compiler or cache: doctor and demo run compiled code.
 
-The kernels are those that this machine has compiled for itself; `make release` makes and tries portable ones.
+The kernels are this machine's own; `make release` builds and tests portable ones.
 """
 
 import json
@@ -27,7 +27,7 @@ DEMO_S = 8.0
 
 
 def kernels_of_the_demo(folder):
-    """Copied from the cache into `folder`, without what other versions have left there."""
+    """Copies them from the cache into `folder`, without those of other versions."""
     for _, make in needed_by(load_any_config(shipped("demo.yaml"))):
         make()
     assert vibrating_plant.backend() == "c"
@@ -38,7 +38,7 @@ def kernels_of_the_demo(folder):
 
 
 def installed(wheel, folder):
-    """The command of a new environment: the wheel is its own, what palmd needs is this environment's."""
+    """The command of a new environment that has its own wheel and uses the dependencies of this one."""
     venv.create(folder, with_pip=False, symlinks=True)
     python = folder / "bin/python"
     pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check", "install", "--quiet"]
@@ -54,5 +54,5 @@ def test_doctor_and_demo(tmp_path):
     command = installed(wheel, tmp_path / "venv")
     demo = run_without_compiler(command, tmp_path, DEMO_S)
     assert demo.stdout.startswith("palmd demo: seed 3")
-    assert demo.returncode in (0, RIG_FAILED), "on a busy machine eight seconds may not be enough to converge"
+    assert demo.returncode in (0, RIG_FAILED), "on a busy machine eight seconds may be too few to converge"
     assert not list(tmp_path.rglob(".cache/**/*.so")), "nothing was compiled"

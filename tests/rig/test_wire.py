@@ -1,4 +1,4 @@
-"""The bus as a program outside the project hears it: three frames, plain maps, no gaps, the promised rates."""
+"""The bus as an independent subscriber receives it: three frames, plain maps, no gaps, the promised rates."""
 
 import collections
 import json
@@ -19,7 +19,7 @@ from tools.published import validate
 pytestmark = pytest.mark.rig
 
 SECONDS = 3.0
-RATES_HZ = {  # far wider than promised, for a slow machine; never faster than promised
+RATES_HZ = {  # wide limits below the promise for a slow machine; never above the promise
     "palm/estimate": (50.0, 101.0),
     "palm/contact": (50.0, 101.0),
     "palm/motion": (50.0, 101.0),
@@ -30,20 +30,20 @@ RATES_HZ = {  # far wider than promised, for a slow machine; never faster than p
     "palm/info": (0.5, 1.2),
     "palm/config": (0.5, 1.2),
     "palm/log": (0.5, 10.5),
-    "palm/rig": (0.5, 6.0),  # and the smoother answers four times a second at most
+    "palm/rig": (0.5, 6.0),  # the smoother answers at most four times a second
 }
 STAMP = re.compile(rb"\d{10,}\.\d{3,}")
-PLOTTED_TEXT = 100  # PlotJuggler leaves out longer strings
+PLOTTED_TEXT = 100  # PlotJuggler omits longer strings
 
 
-# without the one that comes with stored outlines only, and the one that comes when the smoother has found something
+# without the topics of stored outlines and of the smoother's first result
 SELDOM = (OBJECT, IMPROVEMENT, UNEXPLAINED, NOTE)
 ALWAYS = [topic for topic in TOPICS if topic not in (*SELDOM, *PIVOT_TOPICS.published, *PALM3_TOPICS.published)]
 
 
 @pytest.fixture(scope="module")
 def wire(bench):
-    """Everything published in some seconds of a running plan, by topic: frames, and the map."""
+    """All messages during some seconds of a running plan, by topic: frames, and the map."""
     bench.run_plan()
     return heard(bench)
 
@@ -71,7 +71,7 @@ def test_every_topic_comes_at_its_rate(wire):
 
 
 @pytest.mark.parametrize("topic", ALWAYS, ids=lambda topic: topic.name)
-def test_messages_are_what_the_contract_says(wire, topic):
+def test_messages_agree_with_the_contract(wire, topic):
     numbers = []
     for frames, fields in wire[topic.name]:
         assert len(frames) == 3
@@ -85,20 +85,20 @@ def test_messages_are_what_the_contract_says(wire, topic):
                 assert all(isinstance(key, str) and isinstance(sd, float) for key, sd in value.items())
             else:
                 assert plain(value) or (isinstance(value, list) and all(map(plain, value))), name
-            held = name == "cause" and fields["state"] in ("hold", "fault")  # what holds the palms is told in full
-            document = topic is CONFIG and name == "yaml"  # not to be plotted
+            held = name == "cause" and fields["state"] in ("hold", "fault")  # the cause of a hold is published in full
+            document = topic is CONFIG and name == "yaml"  # not for plotting
             if isinstance(value, str) and not held and not document:
                 assert len(value) < PLOTTED_TEXT, name
         numbers.append(fields["seq"])
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_one_tick_tells_one_time(wire):
+def test_all_messages_of_a_tick_have_one_time(wire):
     ticks = [{fields["mono_ns"] for _, fields in wire[f"palm/{topic}"]} for topic in ("estimate", "contact", "motion")]
     assert len(ticks[0] & ticks[1] & ticks[2]) >= max(map(len, ticks)) - 2
 
 
-def test_what_is_told_of_the_object_fits_together(wire):
+def test_published_values_of_the_object_are_consistent(wire):
     _, shape = wire["palm/shape"][-1]
     lengths = {len(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched")}
     assert len(lengths) == 1
@@ -110,7 +110,7 @@ def test_what_is_told_of_the_object_fits_together(wire):
     assert set(estimate["sd"]) <= {name for name, value in estimate.items() if isinstance(value, float)}
 
 
-def test_with_stored_outlines_it_tells_which_object_it_is(tmp_path):
+def test_with_stored_outlines_the_object_is_recognised(tmp_path):
     library = tmp_path / "library"
     library.mkdir()
     for seed in (1, 2):
@@ -121,7 +121,7 @@ def test_with_stored_outlines_it_tells_which_object_it_is(tmp_path):
     try:
         bench.run_plan()
         messages = [fields for _, fields in heard(bench)[OBJECT.name]]
-        for _ in range(5):  # neither lies on the palms; that takes a second of steady contact to tell
+        for _ in range(5):  # rejecting both outlines takes a second of steady contact
             if max(fields["none"] for fields in messages) > 0.9:
                 break
             messages += [fields for _, fields in heard(bench)[OBJECT.name]]

@@ -1,7 +1,7 @@
-"""A systemd of our own: process 1 of its own namespaces, on a copy of this machine's files that is thrown away.
+"""A separate systemd: process 1 of its own namespaces, on a temporary copy of this machine's files.
 
-The files are an overlay whose upper layer is memory, so nothing that happens inside is left afterwards. Run as a
-program (`boot.py PROGRAM FOLDER SHARED…`), this module is the inside's first process, which ends by becoming PROGRAM.
+The files are an overlay whose upper layer is in memory, so that nothing is left afterwards. Run as a program (`boot.py
+PROGRAM FOLDER SHARED…`), this module is the first process inside, which becomes PROGRAM.
 """
 
 import contextlib
@@ -52,7 +52,7 @@ class Machine:
     """The booted system."""
 
     def __init__(self, folder, shared):
-        """`shared` are paths that are seen inside, read-only, even where they are mounts of their own."""
+        """`shared` are paths that are visible inside, read-only, even if they are separate mounts."""
         self._console = folder / "console"
         self._console.touch()
         with self._console.open("ab") as console:
@@ -76,20 +76,20 @@ class Machine:
 
     @property
     def pid(self):
-        """Process 1 of the inside as we see it, None while there is none."""
+        """Process 1 of the inside in our numbering, None while there is none."""
         children = Path(f"/proc/{self._outside.pid}/task/{self._outside.pid}/children").read_text().split()
         return int(children[0]) if children else None
 
     def console(self):
-        """What was said while it booted."""
+        """The output of the boot."""
         return self._console.read_text(errors="replace")
 
     def path(self, inside):
-        """A path of the inside as we see it."""
+        """The outside path of a path inside."""
         return Path(f"/proc/{self.pid}/root") / inside.lstrip("/")
 
     def run(self, *words, check=True):
-        """Run a command inside; what it says on both outputs."""
+        """Runs a command inside; returns both outputs."""
         done = subprocess.run(
             ["nsenter", "-t", str(self.pid), "-a", "-r", "-w", *map(str, words)],
             stdin=subprocess.DEVNULL,
@@ -102,7 +102,7 @@ class Machine:
 
     @contextlib.contextmanager
     def network(self):
-        """Sockets, and threads that make them, belong to the inside when they are begun here."""
+        """Sockets and threads created within this context belong to the inside."""
         ours_at, theirs_at = (Path(f"/proc/{process}/ns/net") for process in ("self", self.pid))
         with ours_at.open() as ours, theirs_at.open() as theirs:
             _enter(theirs)
@@ -112,13 +112,13 @@ class Machine:
                 _enter(ours)
 
     def close(self):
-        """All its processes are killed, and its files are gone."""
+        """Kills all its processes; its files vanish."""
         self._outside.kill()
         self._outside.wait()
 
 
 def wait(condition, what, seconds, pause_s=0.05):
-    """The first true value of `condition`; fails with `what` when there is none in time."""
+    """The first true value of `condition`; fails with `what` after the time-out."""
     t_end = time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < t_end, f"not within {seconds:g} s: {what()}"
@@ -155,7 +155,7 @@ def _become(program, folder, shared):
 
 
 def _overlay(folder):
-    """This machine's files with a layer of memory above them."""
+    """This machine's files with a memory layer above them."""
     layers = folder / "layers"
     layers.mkdir()
     _mount("none", "/", "--make-rprivate")
@@ -168,7 +168,7 @@ def _overlay(folder):
 
 
 def _change_root(root):
-    """No mere chroot: in one of those no user namespaces may be made, which services ask for."""
+    """Changes the root by pivoting: services need user namespaces, which chroot forbids."""
     os.chdir(root)
     subprocess.run(["pivot_root", ".", "mnt"], check=True)
     os.chroot(".")
@@ -191,14 +191,14 @@ def _devices(dev, console):
 
 
 def _units(folder):
-    """Nothing of this machine's own services: a journal, and what the tests put there."""
+    """Units: a journal and the tests' own, none of this machine's services."""
     _mount("tmpfs", folder, "-t", "tmpfs", "-o", "mode=755")
     (folder / "systemd-udevd.service").symlink_to("/dev/null")
     (folder / TARGET).write_text("[Unit]\nRequires=systemd-journald.service\nAfter=systemd-journald.service\n")
 
 
 def _tmp_stays(etc):
-    """A boot empties /tmp or mounts a new one over it, and the palmd that is tested may lie there."""
+    """Keeps /tmp, which a boot would empty or cover, because the tested palmd may be there."""
     (etc / "tmpfiles.d").mkdir(exist_ok=True)
     for name in ("tmpfiles.d/tmp.conf", "systemd/system/tmp.mount"):
         (etc / name).unlink(missing_ok=True)

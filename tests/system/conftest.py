@@ -1,4 +1,4 @@
-"""One booted systemd for all tests; each begins with palmd's services stopped."""
+"""One booted systemd for all tests; palmd's services are stopped before each."""
 
 import pytest
 from boot import obstacle

@@ -1,4 +1,4 @@
-"""palmd's own services on a systemd of our own, installed by `palmd install`, with the emulated rig for a rig."""
+"""palmd's services on a separate systemd, installed by `palmd install`, with the emulated rig."""
 
 import json
 import shutil
@@ -22,12 +22,12 @@ SEEDED = f"[Service]\nExecStart=\nExecStart={PALMD} rig --seed 3 --ports /run/pa
 
 
 def _is_elsewhere(path):
-    """Whether it lies on another file system than /, whose overlay shows all the rest; /usr may be among the paths."""
+    """Whether it is on another file system than /, which the overlay does not contain."""
     return path.stat().st_dev != Path("/").stat().st_dev
 
 
 class Services:
-    """The four units, and both ends of what they say."""
+    """The four units, and messages of daemon and rig."""
 
     def __init__(self, folder):
         self.machine = Machine(
@@ -45,7 +45,7 @@ class Services:
         self.forget()
 
     def _install(self):
-        """What `palmd install` said; the observers are those that this machine has compiled already."""
+        """The output of `palmd install`; the kernels of this machine's cache are used."""
         cache = self.machine.path(CACHE)
         cache.mkdir(parents=True, exist_ok=True)
         for each in cache_directory().glob("*-*.*"):
@@ -67,13 +67,13 @@ class Services:
                 link.close()
         self.machine.close()
 
-    # the manager
+    # the service manager
 
     def systemctl(self, *words):
         return self.machine.run("systemctl", *words)
 
     def show(self, unit, *names):
-        """Properties of a unit, in the order asked for."""
+        """Properties of a unit, in the given order."""
         said = self.systemctl("show", *(f"--property={name}" for name in names), unit)
         found = dict(line.split("=", 1) for line in said.splitlines())
         return found[names[0]] if len(names) == 1 else [found[name] for name in names]
@@ -82,14 +82,14 @@ class Services:
         return self.show(unit, "ActiveState")
 
     def main(self, unit="palmd"):
-        """The main process's number, as it is seen inside."""
+        """The main process's number inside."""
         return int(self.show(unit, "MainPID"))
 
     def kill(self, signal, unit="palmd"):
         self.systemctl("kill", "--kill-whom=main", f"--signal={signal}", unit)
 
     def journal(self, unit):
-        """What it said: pairs of priority and text."""
+        """Its messages: pairs of priority and text."""
         said = self.machine.run("journalctl", "--unit", unit, "--output", "json", "--no-pager")
         entries = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
         return [(int(e["PRIORITY"]), e["MESSAGE"]) for e in entries if e.get("_COMM") == "palmd"]
@@ -101,27 +101,27 @@ class Services:
         return self.machine.run("systemctl", "status", "--no-pager", "--lines=20", *UNITS, check=False)
 
     def all_stopped(self):
-        """Where each test begins."""
+        """The initial state of each test."""
         self.systemctl("stop", *UNITS)
         self.systemctl("reset-failed")
         self.forget()
 
     def started(self):
-        """All four run, and the daemon is ready for orders."""
+        """Starts all four; the daemon is ready for commands."""
         self.systemctl("start", "palmd")
         self.hear(lambda: self.heard["palm/state"]["state"] == "ready" and self.arm_letter() == "R", "ready")
 
-    # the daemon and the rig
+    # daemon and rig
 
     def forget(self):
-        """Nothing has been heard yet."""
+        """Forgets all messages so far."""
         for _ in self._subscriber.until(time.monotonic() + 0.05):
             pass
         self.heard = {}
         self.ticks = 0
 
     def hear(self, condition, what):
-        """Listen until it is true; messages that it needs may not have come yet."""
+        """Receives until the condition is true; it may need messages that have not come yet."""
 
         def look():
             for message in self._subscriber.until(time.monotonic() + 0.1):
@@ -138,7 +138,7 @@ class Services:
         return self.heard["palm/motion"]["arm_state"]
 
     def moving(self):
-        """The arm follows a plan; the operator tries again where a machine without time has stopped it."""
+        """Waits until the arm follows a plan; the operator retries after stops caused by a slow machine."""
         operator, start = Operator(), self.heard["palm/motion"]["phi1_rad"]
 
         def moves():
@@ -152,17 +152,17 @@ class Services:
         self.hear(moves, "motion")
 
     def rig(self):
-        """What the emulated rig counts."""
+        """The rig's counters."""
         if self._rig is None or self._rig_process != self.main("palmd-rig"):
             if self._rig is not None:
                 self._rig.close()
             self._rig_process = self.main("palmd-rig")
-            told = [text for _, text in self.journal("palmd-rig") if text.startswith("{")]
+            reports = [text for _, text in self.journal("palmd-rig") if text.startswith("{")]
             with self.machine.network():
-                self._rig = CommandClient(json.loads(told[-1])["control"], GENEROUS_S)
+                self._rig = CommandClient(json.loads(reports[-1])["control"], GENEROUS_S)
         return self._rig.ask("status")["result"]
 
     def commanded(self):
-        """What the controller was told that may move the arm: starts of tracking, set-points, resets."""
+        """Requests to the controller that may move the arm: starts of tracking, set-points, resets."""
         rig = self.rig()
         return rig["starts"], rig["setpoints"], rig["resets"]

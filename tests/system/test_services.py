@@ -1,4 +1,4 @@
-"""palmd's units under a real systemd: what READY means, restarts that leave the arm alone, stops, rights."""
+"""palmd's units under a real systemd: readiness, restarts without motion, stops, rights."""
 
 import re
 import shutil
@@ -19,19 +19,19 @@ FIFO, HELPER = (f"SCHED_FIFO|SCHED_RESET_ON_FORK {priority}" for priority in (PR
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_exposure(services, unit):
+def test_units_have_little_exposure(services, unit):
     said = services.machine.run("systemd-analyze", "security", "--no-pager", f"{unit}.service")
     assert float(re.search(r"exposure level for .*: ([\d.]+)", said)[1]) <= EXPOSURE_MOST
 
 
-def test_install_again_keeps_what_is_the_machines_own(services):
+def test_a_second_install_keeps_changed_files(services):
     said = services.machine.run(PALMD, "install")
     assert "kept     /etc/palmd/palmd.yaml" in said
     assert "kept     /etc/udev/rules.d/71-palmd-names.rules" in said
     assert "/run/palmd-rig/pad1" in services.machine.path("/etc/palmd/palmd.yaml").read_text()
 
 
-def test_ready_means_that_the_ports_are_open_and_the_controller_has_answered(services):
+def test_ready_means_that_ports_are_open_and_the_controller_has_answered(services):
     services.systemctl("mask", "--runtime", "palmd-rig")
     try:
         services.systemctl("start", "--no-block", "palmd")
@@ -47,7 +47,7 @@ def test_ready_means_that_the_ports_are_open_and_the_controller_has_answered(ser
     assert services.commanded() == (0, 0, 0)
 
 
-def test_companions_and_rig_come_with_it_and_the_companions_go_with_it(services):
+def test_companion_units_start_and_stop_with_the_daemon(services):
     services.started()
     services.until(lambda: [services.state(unit) for unit in UNITS] == ["active"] * 4, "all active")
     began, listening = (int(services.show(unit, "ActiveEnterTimestampMonotonic")) for unit in ("palmd", "palmd-record"))
@@ -85,7 +85,7 @@ def test_stop_brings_the_arm_to_rest_in_time(services):
     assert services.rig()["arm_state"] == "R"
 
 
-def test_a_daemon_that_hangs_is_killed_and_comes_back_without_touching_the_arm(services):
+def test_a_hanging_daemon_is_restarted_without_commands_to_the_arm(services):
     services.started()
     hung = services.main()
     services.kill("SIGSTOP")
@@ -100,7 +100,7 @@ def test_a_daemon_that_hangs_is_killed_and_comes_back_without_touching_the_arm(s
     assert 'loop.py", line' in said.partition("Fatal Python error")[2]
 
 
-def test_after_a_death_in_motion_nothing_moves_the_arm(services):
+def test_after_a_crash_in_motion_nothing_moves_the_arm(services):
     services.started()
     services.moving()
     services.kill("SIGKILL")
@@ -116,7 +116,7 @@ def test_after_a_death_in_motion_nothing_moves_the_arm(services):
     assert services.show("palmd-record", "ActiveState", "NRestarts") == ["active", "0"]
 
 
-def test_a_wrong_configuration_is_told_and_not_tried_again(services):
+def test_an_invalid_configuration_is_reported_without_restarts(services):
     config = services.machine.path("/etc/palmd/palmd.yaml")
     right = config.read_text()
     config.write_text(right.replace("rate_hz: 100", "rate_hz: quick"))
@@ -128,7 +128,7 @@ def test_a_wrong_configuration_is_told_and_not_tried_again(services):
     assert any("palmd.yaml:" in text and "rate_hz" in text for _, text in services.journal("palmd"))
 
 
-def test_a_rig_that_goes_and_comes_back_costs_no_restart_and_no_motion(services):
+def test_a_restarting_rig_causes_no_restart_and_no_motion(services):
     services.started()
     services.systemctl("stop", "palmd-rig")
     services.hear(lambda: services.heard["palm/state"]["state"] == "idle", "idle")
@@ -138,7 +138,7 @@ def test_a_rig_that_goes_and_comes_back_costs_no_restart_and_no_motion(services)
     assert services.commanded() == (0, 0, 0)
 
 
-def test_a_plan_in_a_home_that_it_does_not_see_comes_along(services):
+def test_a_plan_in_a_hidden_home_folder_is_sent_by_content(services):
     services.started()
     plan = Path.home() / "of-a-user.yaml"
     inside = services.machine.path(str(plan))
@@ -147,7 +147,7 @@ def test_a_plan_in_a_home_that_it_does_not_see_comes_along(services):
     assert services.machine.run(PALMD, "ctl", "plan", str(plan)).strip() == "state ready, plan of a user"
 
 
-def test_its_rights_suffice_and_are_no_more(services):
+def test_its_rights_are_sufficient_and_minimal(services):
     services.started()
     pid = services.main()
     threads = services.machine.run("chrt", "--all-tasks", "--pid", pid)
@@ -178,7 +178,7 @@ def test_log_lines_have_priorities(services):
 
 
 def test_an_upgrade_from_0_2_keeps_configuration_keys_and_runs(services):
-    """Its units, configuration and recording take the place of ours; then today's palmd is installed over them."""
+    """Units, configuration and recording of 0.2 are put in place; then the present palmd is installed over them."""
     machine = services.machine
     ours = machine.path("/etc/palmd"), machine.path("/usr/local/lib/systemd/system")
     kept = [machine.path(f"/run/kept-{number}") for number in range(len(ours))]

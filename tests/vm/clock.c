@@ -1,5 +1,5 @@
-/* Inside the rig PC: tells the outside its monotonic clock (ns, 8 bytes) each millisecond, before anything else has its
-   turn. With `guest_clock_spins` on the kernel's command line it keeps the processor from ever being idle: under
+/* Inside the rig PC: sends its monotonic clock (ns, 8 bytes) each millisecond to the outside, with priority over everything
+   else. With `guest_clock_spins` on the kernel's command line it keeps the processor from ever being idle: under
    `-icount` time then is the number of instructions, however little of the real machine's time QEMU gets. */
 #define _GNU_SOURCE
 #include <fcntl.h>

@@ -1,6 +1,6 @@
-"""One image, one rig, one installation; most tests share one machine, which is on until the last of them is over.
+"""One image, one rig, one installation; most tests share one machine that runs until the last of them.
 
-PALMD_VM_KEEP=1 begins with the disk that the last run has installed, for those who work on these tests.
+PALMD_VM_KEEP=1 reuses the disk that the last run installed, for work on these tests.
 """
 
 import os
@@ -35,7 +35,7 @@ def rig(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def installed(image):
-    """A disk with palmd on it, configured for this rig."""
+    """A disk with palmd, configured for this rig."""
     if os.environ.get("PALMD_VM_KEEP") and (folder() / "installed.ext4").exists():
         return folder() / "installed.ext4"
     return with_palmd(image, rigpc.configure)

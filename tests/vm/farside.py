@@ -1,7 +1,7 @@
-"""The emulated rig on the guest's clock: `farside.py FOLDER`. Its ports lie in FOLDER; QEMU connects to FOLDER/clock.
+"""The emulated rig on the guest's clock: `farside.py FOLDER`. Its ports are in FOLDER; QEMU connects to FOLDER/clock.
 
-The guest says what time it is each of its milliseconds; the rig lives on to then, and says what has happened. So both
-agree on the time, however slowly the guest's goes. While no guest runs the rig's time stands still.
+The guest sends its time each millisecond; the rig advances to that time and confirms. Both agree on the time, however
+slow the guest is. While no guest runs, the rig's time stands still.
 """
 
 import json
@@ -20,7 +20,7 @@ SEED = 3
 
 
 class GuestsRig(RigProcess):
-    """See the module."""
+    """The rig process on the guest's time; see the module."""
 
     def __init__(self, folder: Path) -> None:
         self.heard_ns = 0
@@ -50,7 +50,7 @@ class GuestsRig(RigProcess):
                 self._publish(BODY, self.world.object_truth())
 
     def _time(self) -> float | None:
-        """The rig's time (s) by what the guest has said, None when it has said nothing."""
+        """The rig's time (s) by the guest's last message, None before the first."""
         source = self._clock or self._listening
         if not select.select([source], [], [], WAIT_S)[0]:
             return None
@@ -58,7 +58,7 @@ class GuestsRig(RigProcess):
             self._clock, self._ahead_s, self._rest = self._listening.accept()[0], None, b""
             return None
         data = self._clock.recv(1 << 16)
-        if not data:  # its power has gone
+        if not data:  # its power is off
             self._clock.close()
             self._clock = None
             return None

@@ -1,10 +1,10 @@
-"""An FT232R outside QEMU, plugged in through its `usb-redir` device: what its own `usb-serial` cannot do.
+"""An FT232R outside QEMU, connected through its `usb-redir` device, with functions that QEMU's `usb-serial` lacks.
 
-It holds back bytes for its latency timer as the chip does, and marks bytes as broken, as a break or a parity or framing
-error on the line would. Behind it is one of the emulated rig's pseudo-terminals, which gets the guest's baud.
+It holds bytes for its latency timer as the chip does, and marks bytes with a break, parity or framing error. It is
+connected to a pseudo-terminal of the emulated rig, which gets the guest's baud rate.
 
-Sources: usbredir's protocol, version 0.7 (of its capabilities only the three named below); for the chip's requests,
-Linux's drivers/usb/serial/ftdi_sio.h.
+Sources: usbredir's protocol, version 0.7 (only the three capabilities named below); for the chip's requests, Linux's
+drivers/usb/serial/ftdi_sio.h.
 """
 
 import contextlib
@@ -21,22 +21,22 @@ from pathlib import Path
 
 BREAK, FRAMING, PARITY, OVERRUN = 0x10, 0x08, 0x04, 0x02  # of the line status
 PACKET = 64
-HELD_MOST = 256  # what comes while nobody asks for it is lost
-_EMPTY = 0x60  # of the line status: nothing is left to send
+HELD_MOST = 256  # further bytes that the guest does not request are lost
+_EMPTY = 0x60  # of the line status: nothing left to send
 _VENDOR, _PRODUCT, _RELEASE = 0x0403, 0x6001, 0x0600
 _IN, _OUT = 0x81, 0x02
 _HELLO_HEAD, _HEAD = struct.Struct("<III"), struct.Struct("<IIQ")  # type, length, id
 _CONTROL = struct.Struct("<BBBBHHH")  # endpoint, request, its type, status, value, index, length
 _BULK = struct.Struct("<BBHI")  # endpoint, status, length, stream
-_CAPABILITIES = 1 << 1 | 1 << 4 | 1 << 5  # the device's version and the packets' size are told, ids are long
+_CAPABILITIES = 1 << 1 | 1 << 4 | 1 << 5  # device version and packet size are sent, ids are long
 _CANCELLED, _STALL = 1, 4
 _FULL_SPEED, _BULK_KIND = 1, 2
-_EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)  # how the chip numbers the eighths of its divisor
+_EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)  # the chip's codes for eighths of its divisor
 _ISPEED, _OSPEED = 4, 5
 
 
 class _Kind(IntEnum):
-    """Of usbredir's packets."""
+    """Types of usbredir's packets."""
 
     HELLO = 0
     CONNECT = 1
@@ -54,7 +54,7 @@ class _Kind(IntEnum):
 
 
 class _Chip(IntEnum):
-    """What it is asked for."""
+    """Requests to the chip."""
 
     RESET = 0
     MODEM = 1
@@ -75,7 +75,7 @@ _CONFIG = (
 
 
 class Adapter:
-    """Plugged in when it is made, pulled by `close`; `latency_ms` is what the guest has set."""
+    """Plugged in on creation, unplugged by `close`; `latency_ms` is set by the guest."""
 
     def __init__(self, socket_path: Path, terminal: Path, serial: str) -> None:
         """QEMU listens at `socket_path`; `terminal` is the far end of the line."""
@@ -84,7 +84,7 @@ class Adapter:
         self._texts = ("FTDI", "FT232R USB UART", serial)
         self._head = _HELLO_HEAD
         self._marks: list[int] = []
-        self._waiting: list[int] = []  # requests for data that have not been answered
+        self._waiting: list[int] = []  # unanswered requests for data
         self._held = bytearray()
         self._t_held = 0.0
         self._line = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -96,14 +96,14 @@ class Adapter:
         self._thread.start()
 
     def close(self) -> None:
-        """Pull it."""
+        """Unplugs it."""
         self._over = True
         self._thread.join()
         self._socket.close()
         os.close(self._line)
 
     def mark(self, error: int, count: int = 1) -> None:
-        """The next `count` bytes, each in a packet of its own, carry this error (a break is a NUL)."""
+        """The next `count` bytes, each in its own packet, carry this error (a break is a NUL)."""
         self._marks += [error] * count
 
     def _run(self) -> None:
@@ -131,7 +131,7 @@ class Adapter:
         return data
 
     def _hear(self) -> None:
-        head, self._head = self._head, _HEAD  # only the first, a hello, has a short one
+        head, self._head = self._head, _HEAD  # only the first one, a hello, has a short head
         kind, length, number = head.unpack(self._receive(head.size))
         body = self._receive(length)
         match kind:
@@ -175,7 +175,7 @@ class Adapter:
         self._send(_Kind.CONTROL, number, _CONTROL.pack(endpoint, request, kind, status, value, index, said) + data)
 
     def _standard(self, request: int, value: int) -> bytes | None:
-        """A descriptor, or that the device has power; None for what it does not know."""
+        """A descriptor, or the power status; None for unknown requests."""
         if request == 0:
             return bytes((1, 0))
         match value >> 8 if request == 6 else 0:
@@ -218,7 +218,7 @@ class Adapter:
             del self._held[:-HELD_MOST]
 
     def _pass_on(self) -> None:
-        """Answer requests: a full packet at once, a part of one when the latency timer has run out."""
+        """Answers requests: full packets at once, partial ones when the latency timer has expired."""
         while self._waiting and self._held:
             if self._marks:
                 error, data = self._marks.pop(0), bytes(self._held[:1])

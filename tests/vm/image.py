@@ -1,7 +1,7 @@
-"""The rig PC's disk, kernel and installation medium, made from packages; a network is needed the first time only.
+"""The rig PC's disk, kernel and installation medium, made from packages; only the first time needs a network.
 
-Everything lies in a folder of its own outside the checkout (`folder()`), and is made anew when what it is made from has
-changed. Called as a program it makes what is missing and says where it is. It takes root, for `mmdebstrap`.
+Everything is in its own folder outside the checkout (`folder()`) and is rebuilt when its sources have changed. Called
+as a program it builds what is missing and prints the folder. It needs root, for `mmdebstrap`.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from pathlib import Path
 CHECKOUT = Path(__file__).parents[2]
 CLOCK = Path(__file__).with_name("clock.c")
 SUITE = "bookworm"
-INSTALLED_BY_DOCS = ("python3-venv", "gcc", "libc6-dev", "rt-tests")  # what docs/operate/operations.md asks for
+INSTALLED_BY_DOCS = ("python3-venv", "gcc", "libc6-dev", "rt-tests")  # required by docs/operate/operations.md
 PACKAGES = (
     *("linux-image-rt-amd64", "initramfs-tools", "zstd", "systemd-sysv", "udev", "dbus", "kmod"),
     *("qemu-guest-agent", "psmisc", "procps", "util-linux-extra"),
@@ -33,7 +33,7 @@ PROGRAMS = {
 DISK_BYTES = 8 << 30  # sparse
 BOOT_MODULES = ("virtio_pci", "virtio_blk", "ext4", "crc32c_generic")
 
-# mmdebstrap's hooks: $1 is the tree, and $debs the packages fetched so far
+# mmdebstrap's hooks: $1 is the tree, $debs the packages fetched so far
 BEFORE = """
 mkdir -p "$1/var/cache/apt/archives" && cp -n "$debs"/*.deb "$1/var/cache/apt/archives/" 2>/dev/null || true
 """
@@ -68,7 +68,7 @@ class ImageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """What a machine is started from; `base` and `medium` are only ever read."""
+    """The files that a machine starts from; `base` and `medium` are read only."""
 
     base: Path
     kernel: Path
@@ -79,18 +79,18 @@ class Image:
 
     @property
     def tree(self) -> Path:
-        """What `base` was made from."""
+        """The folder that `base` was made from."""
         return self.base.with_name("tree")
 
 
 def folder() -> Path:
-    """Where all of it is kept."""
+    """The folder of all images."""
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return caches / "palmd" / "vm"
 
 
 def obstacle() -> str | None:
-    """Why none can be made here, None if it can."""
+    """Why none can be built here, None if it can."""
     missing = [package for program, package in PROGRAMS.items() if shutil.which(program) is None]
     if missing:
         return f"missing programs: apt-get install {' '.join(missing)}"
@@ -98,7 +98,7 @@ def obstacle() -> str | None:
 
 
 def build() -> Image:
-    """Make what is missing; raises ImageError."""
+    """Builds what is missing; raises ImageError."""
     why_not = obstacle()
     if why_not is not None:
         raise ImageError(why_not)
@@ -115,9 +115,9 @@ def build() -> Image:
 
 
 def with_palmd(image: Image, change: Callable[[Path], None]) -> Path:
-    """A disk on which palmd was installed, and changed, at this machine's speed; its observers are not compiled.
+    """A disk on which palmd was installed and changed at this machine's speed; its observers are not compiled.
 
-    An emulated processor takes an hour for that. It is another one, too, so what is compiled here does not run there.
+    An emulated processor needs an hour for that; it is also another type, on which code compiled here does not run.
     """
     target = folder() / "installed.ext4"
     with tempfile.TemporaryDirectory(dir=folder()) as temporary:
@@ -139,7 +139,7 @@ def with_palmd(image: Image, change: Callable[[Path], None]) -> Path:
 
 
 def ext4(tree: Path, target: Path, size_bytes: int, label: str) -> None:
-    """A file system that holds a tree, made without mounting anything."""
+    """A file system with the contents of a tree, made without mounting."""
     part = target.with_suffix(".part")
     part.unlink(missing_ok=True)
     _run("mke2fs", "-q", "-t", "ext4", "-L", label, "-d", tree, part, f"{size_bytes >> 10}k")
@@ -147,7 +147,7 @@ def ext4(tree: Path, target: Path, size_bytes: int, label: str) -> None:
 
 
 def _system() -> Path:
-    """The folder of kernel, initrd and disk of a machine that has never seen palmd."""
+    """The folder of kernel, initrd and disk of a machine without palmd."""
     made = folder() / f"{SUITE}-{_digest(repr((PACKAGES, BETWEEN, AFTER, DISK_BYTES, CLOCK.read_text())))}"
     if (made / "base.ext4").exists() and (made / "tree").exists():
         return made
@@ -169,7 +169,7 @@ def _system() -> Path:
 
 
 def _medium() -> tuple[str, str, Path]:
-    """This checkout's version, the one after it, and a file system with both as wheels and all they depend on."""
+    """This checkout's version, the next one, and a file system with both as wheels and their dependencies."""
     wheels = folder() / "wheels" / _digest((CHECKOUT / "requirements.lock").read_text())
     if not wheels.exists():
         part = wheels.with_suffix(".part")
@@ -188,7 +188,7 @@ def _medium() -> tuple[str, str, Path]:
 
 
 def _wheel(into: Path, source: Path, version: str | None = None) -> str:
-    """Build a wheel of the checkout as it stands, under another version if that is given; returns the version."""
+    """Builds a wheel of the checkout, possibly under another version; returns the version."""
     source.mkdir()
     for name in ("README.md", "LICENSE", "pyproject.toml"):
         shutil.copy(CHECKOUT / name, source)
@@ -206,7 +206,7 @@ def _wheel(into: Path, source: Path, version: str | None = None) -> str:
 
 
 def _next(version: str) -> str:
-    """The version after it."""
+    """The next version."""
     *first, last = version.split(".")
     return ".".join((*first, str(int(last) + 1)))
 

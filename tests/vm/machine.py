@@ -1,9 +1,9 @@
-"""A rig PC in QEMU: its power, its plugs and its monitor from outside, and commands run inside by Debian's guest agent.
+"""A rig PC in QEMU: its power, plugs and monitor from outside, and commands run inside by Debian's guest agent.
 
-Pads are USB serial adapters (an FTDI chip, which the guest's own ftdi_sio drives), the arm is the 8250 UART ttyS1. QEMU
-opens the emulated rig's pseudo-terminals as if they were this machine's serial ports, so that baud rates are passed on.
-The guest runs on this machine's own processor where that can be (KVM). Elsewhere it is interpreted, and time inside is
-counted in instructions, a thousand million a second: the guest has a fast processor in its own eyes.
+Pads are USB serial adapters (an FTDI chip with the guest's ftdi_sio driver), the arm is the 8250 UART ttyS1. QEMU opens
+the emulated rig's pseudo-terminals as serial ports, so that baud rates are passed on. The guest runs on this machine's
+processor if possible (KVM). Otherwise it is interpreted, and its time is counted in instructions, 10⁹ a second, so that
+it appears to have a fast processor.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from typing import Any
 
 from ftdi import Adapter
 
-BOOT_S = 400.0  # interpreted processors take their time
+BOOT_S = 400.0  # interpreted processors are slow
 ADAPTERS = {"pad1": "PALM0001", "pad2": "PALM0002"}  # serial numbers
 _CHUNK = 1 << 16
 _ON_THE_COMMAND_LINE = "root=/dev/vda rw quiet console=ttyS0 mitigations=off"
 _INTERPRETED = (
     *("-accel", "tcg,tb-size=1024", "-cpu", "Nehalem"),
-    *("-icount", "shift=0,sleep=on"),  # a nanosecond an instruction
+    *("-icount", "shift=0,sleep=on"),  # a nanosecond per instruction
     *("-append", f"{_ON_THE_COMMAND_LINE} guest_clock_spins"),
 )
 _VIRTUALISED = ("-accel", "kvm", "-cpu", "host", "-append", _ON_THE_COMMAND_LINE)
 
 
 def virtualised() -> bool:
-    """Whether this processor can run the guest itself; a paravirtual /dev/kvm (kvm_pvm) runs no such kernel."""
+    """Whether this processor can run the guest itself; a paravirtual /dev/kvm (kvm_pvm) cannot run its kernel."""
     by_hardware = any(Path("/sys/module", name).exists() for name in ("kvm_intel", "kvm_amd"))
     return by_hardware and os.access("/dev/kvm", os.R_OK | os.W_OK)
 
 
 class GuestError(Exception):
-    """What a command inside said when it failed."""
+    """The output of a failed command inside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +52,11 @@ class Done:
 
     status: int
     said: str
-    """On both outputs."""
+    """Both outputs."""
 
 
 class _JsonLines:
-    """JSON requests and answers on a socket, one a line: QEMU's monitor and the guest's agent speak so."""
+    """JSON requests and answers on a socket, one per line, as used by QEMU's monitor and the guest's agent."""
 
     def __init__(self, path: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
@@ -82,7 +82,7 @@ class _JsonLines:
         return answer
 
     def ask(self, command: str, seconds: float, **arguments: Any) -> Any:
-        """What is returned; raises GuestError for a refusal, TimeoutError."""
+        """The result of a request; raises GuestError for a refusal, TimeoutError."""
         self.send({"execute": command} | ({"arguments": arguments} if arguments else {}))
         t_end = time.monotonic() + seconds
         while True:
@@ -138,7 +138,7 @@ class Machine:
         return self._process.poll() is None
 
     def cut_power(self) -> None:
-        """At once: what the guest had not brought to its disk is gone."""
+        """Cuts the power at once: unwritten data of the guest are lost."""
         self._process.send_signal(signal.SIGKILL)
         self._process.wait()
         for link in (self._monitor, self._agent):
@@ -147,7 +147,7 @@ class Machine:
 
     @contextlib.contextmanager
     def standing_still(self) -> Iterator[None]:
-        """Its time stops, and what it has given to its disk is there: as if the power were about to go."""
+        """Stops the guest's time, with all its written data on the disk, as just before a power cut."""
         self.monitor("stop")
         try:
             yield
@@ -155,7 +155,7 @@ class Machine:
             self.monitor("cont")
 
     def shut_down(self) -> None:
-        """As a person would who has time."""
+        """Shuts the guest down in order."""
         with contextlib.suppress(GuestError, TimeoutError, ConnectionError, OSError):
             self.run("sync; systemctl poweroff --no-block", seconds=60.0, check=False)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -163,7 +163,7 @@ class Machine:
         self.cut_power()
 
     def monitor(self, command: str, **arguments: Any) -> Any:
-        """Have QEMU do something; what it answers. Raises GuestError."""
+        """Sends a command to QEMU; returns its answer. Raises GuestError."""
         if self._monitor is None:
             self._monitor = _JsonLines(self._monitor_at)
             self._monitor.receive(time.monotonic() + 30.0)  # its greeting
@@ -171,27 +171,27 @@ class Machine:
         return self._monitor.ask(command, 30.0, **arguments)
 
     def console(self) -> str:
-        """What the kernel and its first process said."""
+        """Output of the kernel and of the first process."""
         return (self.folder / "console.log").read_text(errors="replace")
 
     # plugs
 
     def unplug(self, pad: str) -> None:
-        """Pull an adapter; what it says meanwhile is lost."""
+        """Unplugs an adapter; its data are lost meanwhile."""
         self.monitor("device_del", id=pad)
 
     def plug_chip(self, pad: str) -> Adapter:
-        """Put another adapter of the same serial number in its place: one whose bytes can be marked as damaged."""
+        """Replaces an adapter by one of the same serial number whose bytes can be marked as damaged."""
         address = {"type": "unix", "data": {"path": str(self.chip_at)}}
-        socket_there = {"addr": address, "server": True, "wait": False}  # QEMU takes it away with the device
+        socket_there = {"addr": address, "server": True, "wait": False}  # QEMU removes it with the device
         self.monitor("chardev-add", id="chip", backend={"type": "socket", "data": socket_there})
         self.monitor("device_add", driver="usb-redir", id="chip", chardev="chip", bus="usb.0", port="3")
         return Adapter(self.chip_at, self._ports / pad, ADAPTERS[pad])
 
     def plug(self, pad: str) -> None:
-        """Put it back into its socket."""
+        """Plugs the adapter in again."""
         far_end = os.open(self._ports / pad, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        with contextlib.suppress(BlockingIOError):  # what it said while it was out
+        with contextlib.suppress(BlockingIOError):  # discards data from the time it was out
             while os.read(far_end, _CHUNK):
                 pass
         os.close(far_end)
@@ -200,7 +200,7 @@ class Machine:
     # inside
 
     def until_up(self) -> None:
-        """Wait for the agent; raises TimeoutError with the console's last words."""
+        """Waits for the agent; raises TimeoutError with the console's last lines."""
         t_end = time.monotonic() + BOOT_S
         while time.monotonic() < t_end:
             if not self.on:
@@ -213,7 +213,7 @@ class Machine:
         raise TimeoutError(f"no agent within {BOOT_S:g} s: {self.console()[-3000:]}")
 
     def _synchronised(self) -> None:
-        """Have the agent's next answer be one to us."""
+        """Synchronises with the agent, so that its next answer belongs to our request."""
         if self._agent is not None:
             self._agent.close()
         self._agent = _JsonLines(self._agent_at)
@@ -224,7 +224,7 @@ class Machine:
             pass
 
     def run(self, command: str, *, seconds: float = 120.0, check: bool = True, text: str = "") -> Done:
-        """Run a line of shell inside as root, `text` on its standard input; raises GuestError, TimeoutError."""
+        """Runs a shell command inside as root, `text` on its standard input; raises GuestError, TimeoutError."""
         assert self._agent is not None, "until_up() first"
         begun = self._agent.ask(
             "guest-exec",
@@ -246,11 +246,11 @@ class Machine:
         return done
 
     def ask(self, command: str, *, seconds: float = 120.0) -> str:
-        """What a command that must succeed says, without the last line end."""
+        """Output of a command that must succeed, without the last line end."""
         return self.run(command, seconds=seconds).said.rstrip("\n")
 
     def put(self, path: str, text: str) -> None:
-        """Write a file inside."""
+        """Writes a file inside."""
         self.run(f"mkdir -p $(dirname {shlex.quote(path)}) && cat >{shlex.quote(path)}", text=text)
 
 

@@ -1,4 +1,4 @@
-"""A rig PC with palmd on it, and the emulated rig at the far ends of its wires."""
+"""A rig PC with palmd, and the emulated rig at the far ends of its lines."""
 
 import contextlib
 import json
@@ -19,8 +19,8 @@ PYTHON = "/opt/palmd/bin/python"
 CONFIG, NAMES = "/etc/palmd/palmd.yaml", "/etc/udev/rules.d/71-palmd-names.rules"
 RUNS, HEARD, HEAR_AT = "/var/lib/palmd", "/run/heard.json", "/opt/hear.py"
 CALIBRATED_ZERO_MM = 28.4
-# The guest's processor does a thousand million instructions a second, a tenth of a rig PC's core: the observer that
-# costs least, at half the usual rate. Everything else is as `palmd install` leaves it.
+# The guest's processor executes 10⁹ instructions a second, a tenth of a rig PC's core: the cheapest observer at half
+# the usual rate. All other settings are those of `palmd install`.
 SLOWER = (("observer: {primary: shape}", "observer: {primary: quasistatic}"), ("rate_hz: 100", "rate_hz: 50"))
 BY_SERIAL = "".join(
     f'SUBSYSTEM=="tty", ENV{{ID_SERIAL_SHORT}}=="{number}", SYMLINK+="palmd-{pad}", GROUP="palmd", MODE="0660"\n'
@@ -29,7 +29,7 @@ BY_SERIAL = "".join(
 ARM_NAME = 'KERNEL=="ttyS1", SUBSYSTEM=="tty", SYMLINK+="palmd-arm", GROUP="palmd", MODE="0660"\n'
 INSTALL_S, START_S = 3000.0, 300.0
 
-# Inside: keeps the last message of each slow topic in a file of JSON; to start an interpreter takes seconds there.
+# Inside: keeps the last message of each slow topic in a JSON file, because starting an interpreter there takes seconds.
 HEAR = f"""
 import json, os
 from palmd.bus.link import PUBLISH
@@ -46,7 +46,7 @@ HEAR_UNIT = f"[Service]\nExecStart={PYTHON} {HEAR_AT}\nRestart=always\n[Install]
 
 
 def configure(root: Path) -> None:
-    """What a person writes down on the first day: the ports' names, a calibration, and here a slower loop."""
+    """Writes a first configuration: the ports' names, a calibration, and a slower loop."""
     with (root / NAMES.lstrip("/")).open("a") as names:
         names.write("\n" + BY_SERIAL + ARM_NAME)
     path = root / CONFIG.lstrip("/")
@@ -62,7 +62,7 @@ def configure(root: Path) -> None:
 
 
 class Rig:
-    """The emulated rig, on the time of whichever machine runs; see `farside.py`."""
+    """The emulated rig on the time of the running machine; see `farside.py`."""
 
     def __init__(self, folder: Path) -> None:
         self.ports = folder
@@ -76,7 +76,7 @@ class Rig:
         self._control = CommandClient(json.loads(self._process.stdout.readline())["control"], 10.0)
 
     def status(self) -> dict:
-        """What the rig counts, and `guest_ns`, the guest's monotonic clock."""
+        """The rig's counters, and `guest_ns`, the guest's monotonic clock."""
         return self._control.ask("status")["result"]
 
     def close(self) -> None:
@@ -86,7 +86,7 @@ class Rig:
 
 
 class RigPC:
-    """The machine, and what an operator of palmd does at it."""
+    """The machine, with an operator's actions."""
 
     def __init__(self, image: Image, disk: Path, rig: Rig, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -103,7 +103,7 @@ class RigPC:
     # palmd on it
 
     def install(self, version: str) -> str:
-        """From the medium, without a network; what `palmd install` said."""
+        """Installs from the medium, without a network; returns the output of `palmd install`."""
         self.ask("mkdir -p /media/wheels; mountpoint -q /media/wheels || mount -o ro /dev/vdb /media/wheels")
         self.ask("test -x /opt/palmd/bin/pip || python3 -m venv /opt/palmd", seconds=INSTALL_S)
         self.ask(
@@ -112,7 +112,7 @@ class RigPC:
         return self.ask(f"{PALMD} install", seconds=INSTALL_S)
 
     def hear(self) -> dict:
-        """The last messages of the slow topics, all of them later than this call."""
+        """The last messages of the slow topics, all later than this call."""
         now_ns = int(float(self.ask("cut -d' ' -f1 /proc/uptime")) * 1e9)
 
         def later():
@@ -138,7 +138,7 @@ class RigPC:
         return self.ask(f"systemctl show --value -p {name} {unit}")
 
     def ready(self) -> None:
-        """The daemon has said READY, and nothing is missing."""
+        """Waits until the daemon has reported READY with everything connected."""
         self.until(lambda: self.show("palmd", "ActiveState") == "active", "active")
         self.until(lambda: self.show("palmd", "StatusText").startswith("ready"), "ready")
 
@@ -150,7 +150,7 @@ class RigPC:
 
 
 def overlay(base: Path, target: Path) -> Path:
-    """A disk that begins as `base`, which it does not change."""
+    """A disk that starts as `base` and leaves it unchanged."""
     target.unlink(missing_ok=True)
     words = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(base), str(target)]
     subprocess.run(words, check=True)
@@ -159,7 +159,7 @@ def overlay(base: Path, target: Path) -> Path:
 
 @contextlib.contextmanager
 def powered(image: Image, disk: Path, rig: Rig, folder: Path):
-    """A machine that is on, and off in the end however that comes about."""
+    """A running machine that is switched off in any case."""
     pc = RigPC(image, disk, rig, folder)
     try:
         yield pc

@@ -1,8 +1,8 @@
-"""The power goes while a run is recorded: how much of it is lost, and that the machine comes back to the same.
+"""Power cuts during recording: how much is lost, and whether the machine comes back to the same state.
 
-Ten instants of one recording: each time the disk is put aside as it stood, then mounted for its journal to be replayed,
-and the run on it recovered. What QEMU has been given is on the disk, as on one without a cache of its own or with one
-that keeps its word. In the end the power really goes, and the machine is started again.
+At ten instants of a recording the disk is copied, mounted with its journal replayed, and the recording recovered. Data
+given to QEMU count as written, as on a disk without a volatile cache. At the end the power is really cut, and the
+machine is started again.
 """
 
 import json
@@ -31,7 +31,7 @@ print(max(m.fields["mono_ns"] for m in read_messages(Path(sys.argv[1])) if m.top
 
 
 def _mounted(disk, run, folder):
-    """The run as it is on a disk after its power has gone, taken from there."""
+    """The recording on a disk after a power cut, copied from there."""
     raw = folder / "raw"
     subprocess.run(["qemu-img", "convert", "-O", "raw", str(disk), str(raw)], check=True)
     (folder / "mnt").mkdir()
@@ -49,14 +49,14 @@ def _last_ns(run):
 
 
 def _recording(pc):
-    """The run that is being written, once there is something in it."""
+    """The recording in progress, once it has content."""
     run = pc.until(lambda: pc.run(f"ls -t {RUNS}/*.mcap | head -1", check=False).said.strip(), "a recording")
     size = int(pc.ask(f"stat -c %s {run}"))
     pc.until(lambda: int(pc.ask(f"stat -c %s {run}")) > size, "growth")
     return run
 
 
-def test_power_cuts(pc, rig, tmp_path, capsys):
+def test_power_cuts_lose_little_of_a_recording(pc, rig, tmp_path, capsys):
     pc.ready()
     run = _recording(pc)
     chance = random.Random(23)

@@ -1,4 +1,4 @@
-"""palmd on a rig PC of its own: Debian 12 with its real-time kernel, real drivers of real ports, plugs and power."""
+"""palmd on its own rig PC: Debian 12 with its real-time kernel, real drivers of real ports, plugs and power."""
 
 import time
 
@@ -12,11 +12,11 @@ PADS = tuple(ADAPTERS)
 
 
 def _property(pc, device, name):
-    """What udev knows of a device."""
+    """A udev property of a device."""
     return pc.ask(f"udevadm info -q property --property={name} --value /dev/{device}")
 
 
-def test_it_is_what_it_is_meant_to_be(pc, image):
+def test_the_machine_is_a_debian_12_with_a_real_time_kernel(pc, image):
     assert "PREEMPT_RT" in pc.ask("uname -v")
     assert pc.ask(f"{PALMD} --version").split()[-1] == image.version
     assert pc.ask(f"ls {CONFIG} /etc/palmd/plans/rock.yaml")
@@ -38,7 +38,7 @@ def test_ready_at_boot_after_its_ports(pc):
     assert heard["palm/loop"]["arm_acks"] > 0
 
 
-def test_every_pad_has_its_name_by_serial_number_whichever_comes_first(pc):
+def test_pads_are_named_by_serial_number_in_any_order_of_plugging(pc):
     def named():
         return {pad: _property(pc, f"palmd-{pad}", "ID_SERIAL_SHORT") for pad in PADS}
 
@@ -51,11 +51,11 @@ def test_every_pad_has_its_name_by_serial_number_whichever_comes_first(pc):
         pc.machine.plug(pad)
         pc.until(lambda pad=pad: pc.run(f"test -e /dev/palmd-{pad}", check=False).status == 0, f"{pad} is back")
     assert named() == ADAPTERS
-    assert pc.ask("readlink /dev/palmd-pad1") != before  # the kernel has numbered them the other way round
+    assert pc.ask("readlink /dev/palmd-pad1") != before  # the kernel has numbered them in reverse order
     pc.ready()
 
 
-def test_names_by_path(pc):
+def test_pads_can_be_named_by_path(pc):
     rules = pc.ask(f"cat {NAMES}")
     paths = {pad: _property(pc, f"palmd-{pad}", "ID_PATH") for pad in PADS}
     assert len(set(paths.values())) == len(PADS)
@@ -74,7 +74,7 @@ def test_latency_timers_are_set_at_boot_and_after_plugging_in(pc):
     assert said.split() == ["1", "1"]
 
 
-def test_nobody_else_opens_a_port(pc):
+def test_no_other_process_can_open_a_port(pc):
     for name in (*PADS, "arm"):
         tried = pc.run(f"runuser -u palmd -- head -c 1 /dev/palmd-{name}", check=False)
         assert tried.status != 0
@@ -82,7 +82,7 @@ def test_nobody_else_opens_a_port(pc):
 
 
 def _errors(pc, end):
-    """What the daemon has counted on a line: breaks, framing errors, parity errors, overruns."""
+    """Errors that the daemon has counted on a line: breaks, framing errors, parity errors, overruns."""
     loop = pc.hear()["palm/loop"]
     return [loop[f"{end}_port_{what}"] for what in ("breaks", "framing_errors", "parity_errors", "overruns")]
 
@@ -95,8 +95,8 @@ def test_a_break_on_the_uart_is_counted(pc):
     pc.until(lambda: _errors(pc, "arm") == [before[0] + 3, *before[1:]], "three breaks more")
 
 
-def test_what_an_adapter_says_of_its_line_is_counted(pc):
-    """QEMU's own adapter knows no errors: one outside, of the same number, takes its place."""
+def test_line_errors_reported_by_an_adapter_are_counted(pc):
+    """QEMU's adapter reports no errors; an external one with the same serial number replaces it."""
     pc.machine.unplug("pad1")
     pc.until(lambda: "pad1-port" in pc.status(), "the fault")
     before = _errors(pc, "pad1")
@@ -115,7 +115,7 @@ def test_what_an_adapter_says_of_its_line_is_counted(pc):
     pc.ready()
 
 
-def test_unplugged_and_plugged_in_again(pc):
+def test_an_adapter_may_be_unplugged_and_plugged_in_again(pc):
     pc.ready()
     for pad in PADS:
         losses = pc.hear()["palm/loop"][f"{pad}_port_losses"]
@@ -130,7 +130,7 @@ def test_unplugged_and_plugged_in_again(pc):
 
 
 @pytest.mark.parametrize("step", ["+1 hour", "-1 hour"])
-def test_the_clock_steps_by_an_hour(pc, step):
+def test_a_clock_step_of_an_hour_has_no_effect(pc, step):
     pc.ready()
     before = pc.hear()
     pc.ask(f"date -s '{step}'")
@@ -146,7 +146,7 @@ def test_the_clock_steps_by_an_hour(pc, step):
     assert pc.show("palmd-record", "ActiveState") == "active"
 
 
-def test_the_disk_is_full(pc):
+def test_a_full_disk_is_reported_and_the_recording_is_recoverable(pc):
     pc.ready()
     pc.ask("fallocate -l $(($(df --output=avail -B1 / | tail -1) - (1 << 20))) /filler || true")
     pc.run("dd if=/dev/zero of=/filler2 bs=64k", check=False)
@@ -162,7 +162,7 @@ def test_the_disk_is_full(pc):
     assert pc.show("palmd-record", "NRestarts") == "0"
 
 
-def test_to_the_next_version_and_back(pc, image):
+def test_upgrade_to_the_next_version_and_back(pc, image):
     kept = [NAMES, CONFIG, "/etc/palmd/plans/rock.yaml"]
     before = pc.ask(f"sha256sum {' '.join(kept)}")
     for version in (image.next_version, image.version):
@@ -175,7 +175,7 @@ def test_to_the_next_version_and_back(pc, image):
     assert f"zero_mm: {rigpc.CALIBRATED_ZERO_MM}" in pc.ask(f"cat {CONFIG}")
 
 
-def test_suspended_and_woken(pc):
+def test_the_daemon_recovers_after_suspend(pc):
     pc.ready()
     pc.ask("systemctl suspend")
     pc.until(lambda: pc.machine.monitor("query-status")["status"] == "suspended", "suspended")
@@ -187,10 +187,10 @@ def test_suspended_and_woken(pc):
     assert pc.show("palmd-record", "ActiveState") == "active"
 
 
-def test_installed_from_nothing_by_the_machine_itself(image, rig, tmp_path):
-    """Venv, wheels, `palmd install` with its compiler: what `installed` has done outside. Hours."""
+def test_installation_from_scratch_on_the_machine_itself(image, rig, tmp_path):
+    """Venv, wheels, and `palmd install` with its compiler, which `installed` does outside. Takes hours."""
     with rigpc.powered(image, rigpc.overlay(image.base, tmp_path / "disk.qcow2"), rig, tmp_path) as pc:
         said = pc.install(image.version)
         assert "written  /usr/local/lib/systemd/system/palmd.service" in said
         assert "virtual machine" not in said  # every observer was compiled
-        assert "ttyACM" in pc.ask("cat /proc/devices")  # known before a boot, and before one was plugged in
+        assert "ttyACM" in pc.ask("cat /proc/devices")  # known before boot and before one was plugged in
