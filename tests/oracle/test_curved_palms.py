@@ -239,8 +239,8 @@ def test_motion_on_bowed_and_displaced_pads_agrees_with_the_plant(
     pads = [PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagittas, standoffs, strict=True)]
     body, surface = _body(4, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
     imperfections = Imperfections(tuple(pads), (2e-3, 1e-3), friction=0.2)
-    told = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
-    phi = imperfections.true_palms(PalmMotion.at_rest(told)).angles
+    nominal = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
+    phi = imperfections.true_palms(PalmMotion.at_rest(nominal)).angles
     plant = _plant(body, surface, curvatures, vibration, imperfections)
     plant.place(_plan(0.0, *phi), 0.3, 0.3)
     p = np.zeros(smoothing.CONSTANTS)
@@ -255,14 +255,14 @@ def test_motion_on_bowed_and_displaced_pads_agrees_with_the_plant(
         middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))
         plant.advance(middle, end, dt)
         if k % 4 == 3:  # longer steps
-            start = _plan((k - 3) * dt, *told)
+            start = _plan((k - 3) * dt, *nominal)
             jerk = (np.array(end.accelerations) - np.array(start.accelerations)) / (4 * dt)
             u = [4 * dt, *start.angles, *start.rates, *start.accelerations, *jerk, *rig, *lengths]
             x = np.asarray(step(x, p, u)[0]).ravel()
     assert all(plant.touching)
     assert x == pytest.approx([plant.state.psi, plant.state.omega0], abs=3e-6)
     nodes = [[plant.state.psi, plant.state.omega0], [plant.state.psi + dt * plant.state.omega0, plant.state.omega0]]
-    palms = _plan(steps * dt, *told)
+    palms = _plan(steps * dt, *nominal)
     for pad, contact in enumerate(plant.contacts(), 1):
         z = [dt, 0.0, pad, *palms.angles, *palms.rates, 0.0, *curvatures, *lengths]
         assert float(derived(smoothing.contact_function, form)(*nodes, p, z)[0]) == pytest.approx(contact.s, abs=1e-6)
@@ -291,7 +291,7 @@ def test_a_rollout_ends_where_the_filters_steps_end() -> None:
     rig, x = rig_inputs(_rig(curvatures)), _state(body, surface, 0.4, 0.3)
     move = [*phi, phi[0] + 0.2, phi[1] - 0.1, 0.6, 0.1]
     roll, begin = _rolls()
-    moved, told = (np.asarray(each) for each in roll(x, begin(x, move, rig), move, rig))
+    moved, outputs = (np.asarray(each) for each in roll(x, begin(x, move, rig), move, rig))
     predict, P = derived(shape_map.predict_function, curved=True), np.zeros((shape_map.N,) * 2)
     for k in range(rollout.SUBSTEPS * 4):
         start, end = (rollout.palms_on(ca.DM(move), SX(0.0025 * j)) for j in (k, k + 1))
@@ -301,7 +301,7 @@ def test_a_rollout_ends_where_the_filters_steps_end() -> None:
         jerk = [(b - a) / 0.0025 for a, b in zip(begin[4:], after[4:], strict=True)]
         x = np.asarray(predict(x, P, [0.0025, *begin, *jerk, *rig])[0]).ravel()
     assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "the filter's steps are four times as long"
-    assert told.shape == (rollout.OUTPUTS, rollout.SUBSTEPS)
+    assert outputs.shape == (rollout.OUTPUTS, rollout.SUBSTEPS)
     assert rig.shape == (RIG_INPUTS,)
 
 
@@ -313,7 +313,7 @@ def _rolls() -> tuple[ca.Function, ca.Function]:
 def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tuple[np.ndarray, np.ndarray]:
     """Outputs after each step, and the contacts found there by a search from scratch: (steps, 8), (steps, 2)."""
     roll, begin = _rolls()
-    s, told, blind = begin(x, move, rig), [], []
+    s, outputs, blind = begin(x, move, rig), [], []
     for call in range(calls):
         elapsed = call * rollout.SUBSTEPS * rollout.STEP_S
         steps = np.asarray(roll(x, s, [*move[:5], elapsed], rig)[1]).T
@@ -321,8 +321,8 @@ def _rolled(x: np.ndarray, move: list[float], rig: np.ndarray, calls: int) -> tu
             x = np.concatenate([step[:2], x[2:]])
             blind.append(np.asarray(begin(x, [*move[:5], elapsed + number * rollout.STEP_S], rig)).ravel())
         s = steps[-1, rollout.S]
-        told.extend(steps)
-    return np.array(told), np.array(blind)
+        outputs.extend(steps)
+    return np.array(outputs), np.array(blind)
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
@@ -333,10 +333,10 @@ def test_contacts_tracked_by_a_rollout_agree_with_a_search_from_scratch(curvatur
         phi = np.array(joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures))
         move = [*phi, *(phi + random.uniform(-0.3, 0.3, 2)), 0.6, 0.0]
         x = _state(body, FrictionSurface(0.1, 0.012, 2e-4), random.uniform(0.0, math.tau), 0.0)
-        told, blind = _rolled(x, move, rig, 12)
-        held = np.logical_and.accumulate(told[:, 2:4].min(axis=1) > 0.0)
-        errors.append(np.abs(told[held][:, rollout.S] - blind[held]).max(axis=1))
-        shifts.append(np.abs(np.diff(told[held][:, rollout.S], axis=0)).max(axis=1))
+        outputs, blind = _rolled(x, move, rig, 12)
+        held = np.logical_and.accumulate(outputs[:, 2:4].min(axis=1) > 0.0)
+        errors.append(np.abs(outputs[held][:, rollout.S] - blind[held]).max(axis=1))
+        shifts.append(np.abs(np.diff(outputs[held][:, rollout.S], axis=0)).max(axis=1))
     error, shift = np.concatenate(errors), np.concatenate(shifts)
     assert len(error) > 100
     assert np.quantile(shift, 0.9) > 1e-4, "the contacts move appreciably in a step"
@@ -354,8 +354,8 @@ def test_a_rollout_over_a_jumping_contact_is_marked_as_invalid() -> None:
         x[[Z.PSI, Z.OMEGA0, Z.LN_RHO, Z.LN_DITHER, Z.SHAPE]] = 0.5, 4.0, math.log(0.017), math.log(0.01), 0.022
         for k, bend in ((2, 1.5), (4, 1.0), (6, 0.5)):  # of v, summing to a peak at 0 and π
             x[Z.SHAPE + 2 * k - 1] = flatness * bend * 0.022 / (1 - k**2)
-        told, _ = _rolled(x, [*phi, *phi, 0.6, 0.0], rig, 1)
-        least.append(told[:, 2:4].min(axis=1))
+        outputs, _ = _rolled(x, [*phi, *phi, 0.6, 0.0], rig, 1)
+        least.append(outputs[:, 2:4].min(axis=1))
     assert (least[0] > 0.0).all(), "κv of 0.7 at most"
     assert least[1][0] > 0.0
     assert least[1][-1] == -math.inf, "κv of 1.1 at its flattest"

@@ -157,9 +157,9 @@ OFFLINE = Study(
 )  # fmt: skip
 
 
-LONGEST_S = 240.0  # of a run, whose exploration ends by itself before
-AFTER_S = 2.0  # that its end is waited for what the smoother still says
-BEYOND = 3.0  # one-sigmas, from which a claim is wrong
+LONGEST_S = 240.0  # longest run; explorations end by themselves before
+AFTER_S = 2.0  # further time for the smoother's last answers
+BEYOND = 3.0  # in 1σ: larger errors of accepted outlines are wrong
 
 
 @dataclass(frozen=True, slots=True)

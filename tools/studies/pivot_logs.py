@@ -149,7 +149,7 @@ def _tilt(
             if t >= each + _ROUND_S:
                 return plan[1](min(t - each - _ROUND_S, each))
             begin, end = plan[0](each)[0], plan[1](0.0)[0]
-            w, dw, ddw = _eased((t - each) / _ROUND_S)
+            w, dw, ddw = _smooth_step((t - each) / _ROUND_S)
             return begin + (end - begin) * w, (end - begin) * dw / _ROUND_S, (end - begin) * ddw / _ROUND_S**2
 
         return at
@@ -197,7 +197,7 @@ def _lowered(high: float, low: float, each: float) -> Callable[[float], Axis]:
 
     def at(t: float) -> Axis:
         down = t <= half
-        w, dw, ddw = _eased((t if down else t - half) / half)
+        w, dw, ddw = _smooth_step((t if down else t - half) / half)
         begin, way = (high, low - high) if down else (low, high - low)
         return begin + way * w, way * dw / half, way * ddw / half**2
 
@@ -212,14 +212,14 @@ def _dragged(rng: np.random.Generator, each: float) -> Callable[[float], Axis]:
 
     def at(t: float) -> Axis:
         first = t <= half
-        w, dw, ddw = _eased((t if first else t - half) / half)
+        w, dw, ddw = _smooth_step((t if first else t - half) / half)
         begin, way = (start, ways[0]) if first else (start + ways[0], ways[1])
         return begin + way * w, way * dw / half, way * ddw / half**2
 
     return at
 
 
-def _eased(u: float) -> Axis:
+def _smooth_step(u: float) -> Axis:
     """The smooth step on 0…1, its first and second derivative."""
     u = min(max(u, 0.0), 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
@@ -237,7 +237,7 @@ def _float(rng: np.random.Generator, duration: float, flaws: PivotImperfections,
     p1, p2 = (float(rng.uniform(0.0, math.tau)) for _ in range(2))
 
     def x(t: float) -> Axis:
-        w, dw, ddw = _eased(t)
+        w, dw, ddw = _smooth_step(t)
         value = rate = acceleration = 0.0
         for a, f, p in ((a1, f1, p1), (a2, f2, p2)):
             k = math.tau * f

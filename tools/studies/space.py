@@ -60,24 +60,25 @@ class SpaceLiveTask:
 
 @dataclass(frozen=True, slots=True)
 class SpaceLiveRow(SpaceLiveTask):
-    """The live results of one body. settled, for_good: first valid and converged (s from the first motion; NaN: never).
+    """The live results of one body. settled, converged_after: first valid and converged (s from the first motion; NaN:
+    never).
 
     valid: share of valid ticks since the first one. surface_error: RMS of the last accepted surface where touched (m),
     NaN without one; wrong: number of accepted surfaces with errors above `RIGHT_M`. ratio: mean (error/sd)² of spin,
     centre and contacts in valid ticks. coverage: true share of all directions within 10 degrees of a contact curve at
-    each of `MARKS_S`; told: published coverage at the end. losses: number of falls off the palms; recovered: number of
-    falls after which the estimate was valid again; back_s: mean time until then (s).
+    each of `MARKS_S`; published: published coverage at the end. losses: number of falls off the palms; recovered:
+    number of falls after which the estimate was valid again; back_s: mean time until then (s).
     """
 
     error: str = ""
     settled: float = math.nan
-    for_good: float = math.nan
+    converged_after: float = math.nan
     valid: float = math.nan
     surface_error: float = math.nan
     wrong: int = 0
     ratio: float = math.nan
     coverage: tuple[float, ...] = ()
-    told: float = math.nan
+    published: float = math.nan
     losses: int = 0
     recovered: int = 0
     back_s: float = math.nan
@@ -155,13 +156,13 @@ def run_live(task: SpaceLiveTask) -> SpaceLiveRow:
         SpaceLiveRow,
         task,
         settled=settled,
-        for_good=right[0] if right else math.nan,
+        converged_after=right[0] if right else math.nan,
         valid=valid / ticks if ticks else 0.0,
         surface_error=surfaces[-1][1] if surfaces else math.nan,
         wrong=len(wrong),
         ratio=float(np.mean(squares)) if squares else math.nan,
         coverage=coverage.at_marks,
-        told=published,
+        published=published,
         losses=losses,
         recovered=len(back),
         back_s=float(np.mean(back)) if back else math.nan,
@@ -183,14 +184,14 @@ def remarks(rows: Sequence[SpaceLiveRow]) -> Iterator[str]:
             continue
         lost = f", {row.recovered} times valid again after {row.back_s:.1f} s" if row.losses else ""
         yield (
-            f"{row.seed:8}: valid after {row.settled:.1f} s, converged after {row.for_good:.1f} s, valid"
+            f"{row.seed:8}: valid after {row.settled:.1f} s, converged after {row.converged_after:.1f} s, valid"
             f" {row.valid:.0%} of the time since, {row.surface_error * 1e6:.0f} µm, {row.wrong} wrong,"
             f" (e/sd)² {row.ratio:.2f}, fell off {row.losses} times{lost}; {row.reason or 'valid at the end'}"
         )
         if row.plan == "explore":
             shares = zip(MARKS_S, row.coverage, strict=True)
             touched = ", ".join(f"{share:.0%} after {mark:.0f} s" for mark, share in shares)
-            yield f"{row.seed:8}: touched {touched}, published {row.told:.0%}"
+            yield f"{row.seed:8}: touched {touched}, published {row.published:.0%}"
 
 
 def _touched(row: SpaceLiveRow) -> float:
@@ -207,8 +208,8 @@ LIVE = Study(
     columns=[
         ("bodies", runs),
         ("valid once", count(lambda row: math.isfinite(row.settled))),
-        ("converged", count(lambda row: math.isfinite(row.for_good))),
-        ("after, s", quantiles(lambda row: row.for_good)),
+        ("converged", count(lambda row: math.isfinite(row.converged_after))),
+        ("after, s", quantiles(lambda row: row.converged_after)),
         ("ever wrong", count(lambda row: row.wrong > 0)),
         ("fell off", count(lambda row: row.losses > 0)),
         ("touched, %", quantiles(_touched, 100.0)),

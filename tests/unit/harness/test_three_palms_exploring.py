@@ -86,8 +86,8 @@ def test_every_set_point_keeps_the_limits(explored):
 
 def test_a_row_tells_how_much_was_touched_and_what_was_lost():
     row = SpaceLiveRow(
-        5, 60.0, "explore", settled=8.0, for_good=9.0, valid=0.9, surface_error=2e-5, ratio=0.5,
-        coverage=(0.4, 0.6, 0.85), told=0.8, losses=1, recovered=1, back_s=9.5,
+        5, 60.0, "explore", settled=8.0, converged_after=9.0, valid=0.9, surface_error=2e-5, ratio=0.5,
+        coverage=(0.4, 0.6, 0.85), published=0.8, losses=1, recovered=1, back_s=9.5,
     )  # fmt: skip
     lines = list(remarks([row]))
     assert "fell off 1 times, 1 times valid again after 9.5 s" in lines[0]

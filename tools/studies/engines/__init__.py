@@ -1,1 +1,1 @@
-"""Worlds of other people's physics engines, whose logs judge palmd's estimators and its emulated rig."""
+"""Scenes in independent physics engines, whose logs test palmd's estimators and its emulated rig."""

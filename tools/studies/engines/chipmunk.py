@@ -1,9 +1,9 @@
 """Scenes in Chipmunk (pymunk): impulses with friction between a body of arcs and two conveyor palms.
 
-The body's outline is made of arcs. Each palm touches a disc of its own, with the radius and the centre of the arc that
-the palm's normal points at; where arcs join, both discs have the same contact point. A palm is a kinematic segment
-through the hinge; its vibration is Chipmunk's surface velocity, which is exactly what a flat palm's motion along itself
-does to friction. The steps are short against the vibration: friction reverses within one of them.
+The body's outline is made of arcs. Each palm touches its own disc, with radius and centre of the arc at the palm's
+normal; at the joint of two arcs both discs have the same contact point. A palm is a kinematic segment through the
+hinge; its vibration is Chipmunk's surface velocity, which has the same effect on friction as a flat palm's motion along
+itself. The steps are short compared with the vibration: friction reverses within one of them.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from tools.studies.engines.scene import EngineRun, EngineScene, RunRows, palm_st
 from tools.studies.sharp_shapes import ArcSupport
 
 STEPS = 12
-"""Of the engine in each row of a run: 42 µs."""
+"""Engine steps per row of a run: 42 µs each."""
 _ARCS = 7200
-"""With 240 a body that rocks is turned by 2.4 degrees more or less than by a smooth outline, with these by 0.06."""
+"""With 240 arcs a rocking body turns by 2.4 degrees more or less than with a smooth outline, with these by 0.06."""
 _ITERATIONS = 60
-_BIAS = 1e-200  # of a penetration, this share is left after a second
+_BIAS = 1e-200  # share of a penetration that is left after a second
 _PALM_M = (-0.1, 0.2)
 
 
 def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
-    """The outline made of `count` arcs, each as wide in normals; within 2 nm of a smooth one for 7,200.
+    """The outline made of `count` arcs of equal angle; within 2 nm of a smooth one for 7,200.
 
-    Each has the outline's mean radius of curvature over its normals, but for what closes the outline.
+    Each has the outline's mean radius of curvature over its normals, corrected so that the outline closes.
     """
     theta: FloatArray = np.arange(count, dtype=np.float64) * (math.tau / count)
     fine = 64
@@ -57,9 +57,9 @@ def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
 
 
 def _share(gained: pymunk.Vec2d, palm: int, touches: dict[int, tuple[float, float, float]]) -> float:
-    """What the impulse that the engine tells of a palm must be multiplied by for both to give what the body has gained.
+    """Factor on the engine's impulse of a palm so that both impulses together give the body's change of momentum.
 
-    It tells 0.6 % too much, in the mean.
+    The engine's impulse is 0.6 % too large on average.
     """
     ix, iy, _ = touches[palm]
     if len(touches) == 1:

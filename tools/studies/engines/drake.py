@@ -1,9 +1,9 @@
 """Scenes in Drake: an ellipsoid between two half-spaces, by discrete steps with the TAMSI solver and point contact.
 
-A palm is a half-space on a revolute joint and a prismatic joint along itself, heavy, whose positions and velocities are
+A palm is a heavy half-space on a revolute joint and a prismatic joint along itself; their positions and velocities are
 set before each step, so that its vibration is a motion of the half-space. Contacts are as stiff as the step allows.
-Drake regularises friction near zero slip, below 0.1 mm/s as it is set here; that is no vibration. The convex solvers
-(SAP and its kin) are of no use: they lift a body by a share of its slip, on vibrating palms a vibration across them.
+Drake regularises friction near zero slip, here below 0.1 mm/s. The convex solvers (SAP and others) are unsuitable: they
+lift a body in proportion to its slip, on vibrating palms a vibration across them.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from palmd.system.mechanism import PALMS
 from tools.studies.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
 
 STEPS = 10
-"""Of the engine in each row of a run: 50 µs."""
-logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of half-spaces that deform, which none here does
-_STIFFNESS_N_M = 1e9  # stiff: an implicit step needs no softer ones
+"""Engine steps per row of a run: 50 µs each."""
+logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of deformable half-spaces, of which there are none
+_STIFFNESS_N_M = 1e9  # stiff: implicit steps allow it
 _STICTION_M_S = 1e-4
 _HEAVY_KG = 1e4
 _COORDINATES = 7  # hinge and slide of each palm, then x, y, angle of the body
@@ -57,7 +57,7 @@ def _material(friction: float) -> ProximityProperties:
 
 
 def _combined(friction: float) -> float:
-    """Of a palm, whose friction with the body is 2 μ1 μ2/(μ1 + μ2): the body's own is 1."""
+    """Friction of a palm, whose friction with the body is 2 μ1 μ2/(μ1 + μ2): the body's own is 1."""
     return friction / (2.0 - friction)
 
 

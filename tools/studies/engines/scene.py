@@ -1,7 +1,7 @@
-"""What an engine simulates: a body on two flat palms that rock and vibrate, drawn by a seed; and logs of what came out.
+"""Scenes for engines, drawn by a seed: a body on two flat palms that rock and vibrate; and event logs of their results.
 
-Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms that vibrate), `slick` (no friction),
-`dry` (friction on palms that do not vibrate, whose plan has a dither of 0.1° at 10 Hz). SI units.
+Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on vibrating palms), `slick` (no friction),
+`dry` (friction on palms without vibration, whose plan has a dither of 0.1° at 10 Hz). SI units.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ _DITHER_RAD, _DITHER_HZ = math.radians(0.1), 10.0
 _RELEASE_RAD = (0.12, 0.5)
 _MEAN_RADIUS_M, _RATIO = (16e-3, 24e-3), (0.75, 0.92)
 _MASS_KG = (0.06, 0.25)
-_STREAM = 0x656E67  # of seeds, so that no draw is shared with `rig.simulate`
+_STREAM = 0x656E67  # random stream, distinct from that of `rig.simulate`
 _MARGIN_M, _LEAST_N = 3e-3, 1e-3
 _LOST_ROWS = 10  # without any contact
 
 
 @dataclass(frozen=True, slots=True)
 class DitheredRocking(Rocking):
-    """Both palms' motion with a plan's dither on top, of both angles, growing in over the first second."""
+    """Both palms' motion with a plan's dither of both angles, which grows during the first second."""
 
     def at(self, t: float) -> PalmMotion:
         """Angles, rates, accelerations of both palms at t (s)."""
@@ -74,7 +74,7 @@ class EngineScene:
     start: BodyState
 
     def palms_at(self, t: float) -> PalmMotion:
-        """Where the palms really are at t (s)."""
+        """True motion of the palms at t (s)."""
         return self.run.palms_at(t)
 
     @property
@@ -90,9 +90,9 @@ class EngineScene:
 
 
 class EngineRun(NamedTuple):
-    """Columns of a run each `STEP_S`, beginning at t = 0, the body as the engine has it, and its worst penetration (m).
+    """Columns of a run, a row each `STEP_S` from t = 0, the engine's body, and its deepest penetration (m).
 
-    x, y, psi, omega0: of the body; f1, f2: normal forces (N), means over the step before.
+    x, y, psi, omega0: of the body; f1, f2: normal forces (N), means over the previous step.
     """
 
     body: Body
@@ -106,9 +106,9 @@ class EngineRun(NamedTuple):
 
 
 class PalmStep(NamedTuple):
-    """One palm over a step of an engine: its direction (rad) and how far it is moved outwards (m) when the step begins.
+    """One palm in a step of an engine: direction (rad) and outward displacement (m) at the start of the step.
 
-    rate (rad/s) and speed (m/s, outwards) are those in the middle of the step.
+    rate (rad/s) and speed (m/s, outwards) are those at the middle of the step.
     """
 
     angle: float
@@ -118,7 +118,7 @@ class PalmStep(NamedTuple):
 
 
 def palm_steps(scene: EngineScene, row: int, steps: int) -> Iterator[list[PalmStep]]:
-    """Both palms in each of the `steps` from a row to the next; accelerations are constant in between."""
+    """Both palms in each of the `steps` between two rows; accelerations are constant in between."""
     motion, dt = scene.palms_at(row * STEP_S), STEP_S / steps
     turns = [[sum(each[: palm + 1]) for each in motion] for palm in range(len(PALMS))]
     shakers = scene.run.shaking.palms if scene.run.shaking else (STILL,) * len(PALMS)
@@ -136,21 +136,21 @@ def palm_steps(scene: EngineScene, row: int, steps: int) -> Iterator[list[PalmSt
 
 
 class RunRows:
-    """What a run of an engine leaves behind, row by row."""
+    """Collects a run of an engine, row by row."""
 
     def __init__(self, start: BodyState) -> None:
-        """Before the first step."""
+        """To be called before the first step."""
         self.deepest = 0.0
         self._rows: list[tuple[float, ...]] = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
         self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0
 
     def press(self, palm: int, impulse: float, depth: float) -> None:
-        """A contact of palm 0 or 1 in a step or in a whole row: its normal impulse (N s) and penetration (m)."""
+        """Add a contact of palm 0 or 1 in a step or a whole row: its normal impulse (N s) and penetration (m)."""
         self._impulses[palm] += impulse
         self._touched, self.deepest = True, max(self.deepest, depth)
 
     def end(self, x: float, y: float, psi: float, omega0: float) -> bool:
-        """A row ends with the body there; false where it has touched nothing for a while."""
+        """End a row with the body in this state; false if it has had no contact for a while."""
         self._rows.append((x, y, psi, omega0, *(impulse / STEP_S for impulse in self._impulses)))
         self._untouched_rows = 0 if self._touched else self._untouched_rows + 1
         self._impulses, self._touched = [0.0] * len(PALMS), False
@@ -164,16 +164,16 @@ class RunRows:
 
 
 class Engine(Protocol):
-    """Runs a scene; what comes out may end before its time where a contact is lost."""
+    """Runs a scene; the result may end early if a contact is lost."""
 
     def __call__(self, scene: EngineScene, duration_s: float) -> EngineRun:
-        """Simulates it for that long."""
+        """Simulate so many seconds."""
 
 
 def draw_scene(kind: EngineKind, seed: int, known: DrawnImperfections = "none") -> EngineScene:
-    """A scene by its seed: ellipses whose centre of mass is off-centre, real vibration as sines.
+    """A scene drawn by its seed: an ellipse with an eccentric centre of mass, vibration as sines.
 
-    known: `none` for a rig exactly as described, `calibrated` for one with drawn imperfections.
+    known: `none` for an exactly known rig, `calibrated` for one with drawn imperfections.
     """
     rng = np.random.default_rng([_STREAM, ENGINE_KINDS.index(kind), seed])
     off = drawn(RigDescription().known_to(CALIBRATION[known]), _STREAM, seed)
@@ -206,7 +206,7 @@ def draw_scene(kind: EngineKind, seed: int, known: DrawnImperfections = "none") 
 
 
 def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
-    """RunRows of `rig.simulate`'s runs, means over the vibration where they must be; None where a contact was lost."""
+    """Rows as those of `rig.simulate`, means over the vibration where needed; None if a contact was lost."""
     t = np.arange(len(simulated.x)) * STEP_S
     motions = [scene.palms_at(float(each)) for each in t]
     frames = [palm_frame(scene.run.hinge, palms) for palms in motions]
@@ -229,7 +229,7 @@ def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
 def engine_log(
     engine: Engine, kind: EngineKind, seed: int, duration_s: float, known: DrawnImperfections = "none"
 ) -> tuple[list[Line], Line]:
-    """A run of an engine as event-log lines, and its truth, which has the engine's penetration and the vibration too.
+    """A run of an engine as event-log lines, and its truth with the engine's penetration and the vibration.
 
     Scenes in which a contact is lost are drawn again.
     """
@@ -239,10 +239,10 @@ def engine_log(
         history = history_of(scene, simulated) if len(simulated.x) == round(duration_s / STEP_S) + 1 else None
         if history is None:
             continue
-        told = replace(scene.run, body=simulated.body)
+        run = replace(scene.run, body=simulated.body)
         rng = np.random.default_rng([_STREAM, seed, attempt])
-        lines = list(log_lines(told, history, CALIBRATION[known], rng))
-        truth = truth_of(told, history) | {
+        lines = list(log_lines(run, history, CALIBRATION[known], rng))
+        truth = truth_of(run, history) | {
             "engine_kind": kind,
             "engine_penetration_m": simulated.penetration,
         }

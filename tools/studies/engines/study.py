@@ -36,12 +36,12 @@ EngineName = Literal["mujoco", "drake", "chipmunk"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 PACKAGES: dict[EngineName, str] = {"mujoco": "mujoco", "drake": "pydrake", "chipmunk": "pymunk"}
 SETTLED_S = 10.0
-"""From which on the share of valid ticks is counted, or from the middle of a shorter run."""
+"""The share of valid ticks is counted from this time (s) on, or from the middle of a shorter run."""
 
 
 @dataclass(frozen=True, slots=True)
 class EngineTask:
-    """A run to do; `known` says whether the rig is exactly as described or as calibration leaves one."""
+    """One run; `known`: whether the rig is exactly known or has residual calibration errors."""
 
     engine: EngineName
     kind: EngineKind
@@ -52,13 +52,12 @@ class EngineTask:
 
 @dataclass(frozen=True, slots=True)
 class EngineRow(EngineTask):
-    """A run in numbers; NaN for what there is not.
+    """The results of one run; NaN for missing values.
 
-    error: what was raised, then nothing else is known. accepted, reason, chi2, took_s: of `reconstruct`. e_h: RMS of
-    the outline's error over the touched normals; nees: mean of (error / 1σ)² over them. mu_z, rho_z, mass_z: errors
-    in 1σ.
+    error: the exception, without any other result. accepted, reason, chi2, took_s: from `reconstruct`. e_h: RMS of the
+    outline's error over the touched normals; nees: mean of (error / 1σ)² over them. mu_z, rho_z, mass_z: errors in 1σ.
     first_valid_s, valid, wrong: of the live observer: first valid tick, share of valid ticks after `SETTLED_S`, and
-    share of valid ticks with a radius off by more than 0.3 mm; omega0_beyond: share of valid ticks with ω0 beyond 3σ.
+    share of valid ticks with an error of a radius above 0.3 mm; omega0_beyond: share of valid ticks with ω0 beyond 3σ.
     """
 
     error: str = ""
@@ -81,32 +80,34 @@ class EngineRow(EngineTask):
 
     @property
     def right(self) -> bool:
-        """Accepted, and off by less than 0.1 mm on an exactly known rig, within its band on a calibrated one."""
+        """Whether it is accepted, with an error below 0.1 mm on an exactly known rig, within its band on a calibrated
+        one.
+        """
         return self.accepted and self.nees <= FAR**2 and (self.known == "calibrated" or self.e_h_m < RIGHT_M)
 
     @property
     def beyond(self) -> bool:
-        """Accepted, and wrong by more than 3σ (RMS)."""
+        """Whether it is accepted and wrong by more than 3σ (RMS)."""
         return self.accepted and self.nees > FAR**2
 
 
 def engine_called(name: EngineName) -> Engine:
-    """The engine of that name; raises ModuleNotFoundError where it is not installed."""
+    """The engine of that name; raises ModuleNotFoundError if it is not installed."""
     engine: Engine = importlib.import_module(f"tools.studies.engines.{name}").simulate
     return engine
 
 
 def run(task: EngineTask) -> EngineRow:
     """Simulate by the engine, reconstruct, replay through the live observer, and compare."""
-    lines, told = engine_log(engine_called(task.engine), task.kind, task.seed, task.seconds, task.known)
+    lines, truth_fields = engine_log(engine_called(task.engine), task.kind, task.seed, task.seconds, task.known)
     with written(lines) as path:
         log = read_log(path)
-    measured = {"penetration_m": told["engine_penetration_m"], "mu": told["mu"]}
-    return result(EngineRow, task, **measured, **_offline(log, told), **_live(log, told))
+    measured = {"penetration_m": truth_fields["engine_penetration_m"], "mu": truth_fields["mu"]}
+    return result(EngineRow, task, **measured, **_offline(log, truth_fields), **_live(log, truth_fields))
 
 
-def _offline(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
-    answer, truth = reconstruct(log.events, log.rig), truth_of(told)
+def _offline(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
+    answer, truth = reconstruct(log.events, log.rig), truth_of(truth_fields)
     scored = outline_errors(answer, truth)
     values: dict[str, Any] = {
         "accepted": bool(answer.converged),
@@ -127,7 +128,7 @@ def _offline(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _live(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
+def _live(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
     rows = []
     for tick in replay(log, watcher):
@@ -139,7 +140,7 @@ def _live(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
         return {"valid": 0.0}
 
     def off(name: str, values: FloatArray) -> FloatArray:
-        return np.asarray(np.abs(values - np.interp(t, told["t"], told[name])), dtype=np.float64)
+        return np.asarray(np.abs(values - np.interp(t, truth_fields["t"], truth_fields[name])), dtype=np.float64)
 
     begin = log.events[0].t_sample
     settled = t - begin > min(SETTLED_S, 0.5 * (t[-1] - begin))

@@ -1,1 +1,1 @@
-"""Daemon and emulated rig in one process on virtual time: what may happen is drawn, what must hold is checked."""
+"""Daemon and emulated rig in one process in virtual time: random events, and invariants that are checked."""

@@ -1,4 +1,4 @@
-"""What may bring up which fault: written down apart from the daemon, so that a fault without a cause is found. Pure."""
+"""Possible causes of each fault, defined independently of the daemon, to find faults without a cause. Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from palmd.rig.fault_injection import PADS
 from tools.studies.simulation.happenings import Broken, Bytes, ClientRequest, Happening, Restart, Slow, Stall, Trick
 
 LINGERS_S = 3.0
-"""So long after its end a cause may still bring a fault up: ports are tried again, counters judged, links found."""
+"""A cause may still trigger a fault this long after its end (s): ports are retried, counters judged, links found."""
 
 _LINE = frozenset({"drop", "garble", "mute", "unplug", "late", "burst", "misbaud", "bytes"})
 _BODY = frozenset({"lift", "swap", "left"})
-"""`left`: by itself, as where a motion takes it to a pad's end."""
+"""Events without an injection; `left`: the body leaves the palms by itself, for example at a pad's end."""
 _HOST = frozenset({"stall", "restart", "broken"})
 _DAMAGED = frozenset({"drop", "garble", "misbaud", "bytes", "unplug", "mute"})
 
@@ -66,7 +66,7 @@ CAUSES: dict[str, frozenset[str]] = {
     "smoother-silent": frozenset({"slow"}),
     "explorer-silent": frozenset({"slow", "broken", "request"}),
     "pads-swapped": _PRESSED,
-    "pads-mirrored": _PRESSED | frozenset(_BODY),  # a finger and another object move otherwise than this one
+    "pads-mirrored": _PRESSED | frozenset(_BODY),  # a finger and another object move differently
     "estimate-lost": frozenset({"broken", "request", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
     | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "estimate-inconsistent": frozenset({"broken", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
@@ -75,15 +75,15 @@ CAUSES: dict[str, frozenset[str]] = {
     "recorder-failed": frozenset({"request"}),
     "recorder-silent": frozenset({"request"}),
 }
-"""By fault: the happenings that may bring it up. A fault that is not here has no cause in any simulated run."""
+"""For each fault the events that may cause it. A fault that is missing here has no cause in any simulated run."""
 
 FOR_GOOD = frozenset({"recorder-failed", "recorder-silent", "plan-refused"})
-"""What a client has said stands until it says something else."""
+"""Faults that last until the client's next request."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """What was going on from `t_on` to `t_off` (s)."""
+    """A cause that acted from `t_on` to `t_off` (s)."""
 
     name: str
     t_on: float
@@ -91,7 +91,7 @@ class Cause:
 
 
 def causes(happenings: Iterable[Happening]) -> Iterator[Cause]:
-    """Each happening as a cause."""
+    """The cause of each event."""
     for each in happenings:
         match each:
             case Trick():

@@ -1,7 +1,7 @@
-"""What happens in a simulated run: drawn whole from one seed before it begins, so that any part can be left out. Pure.
+"""Random events of a simulated run: drawn completely from one seed in advance, so that any of them can be omitted.
+Pure.
 
-Every happening carries all that it needs. A run is repeated bit for bit by its seed and the numbers of the happenings
-that are kept.
+Every event contains all its parameters. Seed and numbers of the kept events repeat a run bit for bit.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from palmd.daemon.commands import COMMANDS, Argument
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, PortName
 
 TROUBLE_S, CALM_S = 22.0, 8.0
-"""How long things happen, and how long everything has to be well again after the last one has ended."""
+"""Duration of the events, and recovery time after the last one has ended (s)."""
 
 LEASES_S = (0.2, 2.0, 5.0, 100.0)
-"""The last is refused; the longest before it ends, and what is said of that, before the calm does."""
+"""Declared leases (s): the last is refused; the longest valid one ends, and is reported, before the calm does."""
 
 RATE_HZ = 100.0
-"""How often a daemon ticks as it is shipped."""
+"""Tick rate of the shipped daemon (Hz)."""
 
 FIRST_S = 0.2
 MOST_CLIENTS = 4
@@ -36,7 +36,7 @@ PARTS: tuple[Part, ...] = ("between", "take in", "observe", "decide", "publish")
 
 @dataclass(frozen=True, slots=True)
 class Trick:
-    """A mischief of the emulated rig, so strong, for so long."""
+    """A fault injected into the emulated rig, with strength and duration."""
 
     t: float
     name: str
@@ -47,7 +47,7 @@ class Trick:
 
 @dataclass(frozen=True, slots=True)
 class ClientRequest:
-    """A client's message to the command socket: a command, or anything else."""
+    """A client's message to the command socket: a command or arbitrary bytes."""
 
     t: float
     client: int
@@ -56,7 +56,7 @@ class ClientRequest:
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """The daemon's process does nothing for so long, in this part of its period."""
+    """The daemon's process stands still for so long, in this part of its period."""
 
     t: float
     part: Part
@@ -65,7 +65,7 @@ class Stall:
 
 @dataclass(frozen=True, slots=True)
 class Bytes:
-    """What the host reads next at a port comes twice, is lost, or is led by stray bytes."""
+    """The next bytes that the host reads at a port are doubled, lost, or preceded by stray bytes."""
 
     t: float
     port: PortName
@@ -75,7 +75,7 @@ class Bytes:
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Who works beside the loop takes so long for what it is given within `for_s`."""
+    """A helper beside the loop takes so long for its work within `for_s`."""
 
     t: float
     who: Literal["planner", "explorer", "smoother"]
@@ -85,7 +85,7 @@ class Slow:
 
 @dataclass(frozen=True, slots=True)
 class ClockStep:
-    """The calendar's clock is set by so many seconds."""
+    """The wall clock is set by so many seconds."""
 
     t: float
     by_s: float
@@ -93,7 +93,7 @@ class ClockStep:
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """The daemon ends, killed or asked to, and another one begins `after_s` later."""
+    """The daemon ends, killed or on request, and another one starts `after_s` later."""
 
     t: float
     killed: bool
@@ -102,7 +102,7 @@ class Restart:
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """The observer raises, calls what is not finite valid, knows nothing, or misses by far what it foresees."""
+    """The observer raises, marks NaN as valid, knows nothing, or predicts wrongly."""
 
     t: float
     how: Literal["raises", "nan", "blind", "misses"]
@@ -114,13 +114,12 @@ Happening = Trick | ClientRequest | Stall | Bytes | Slow | ClockStep | Restart |
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """All that one run is made of. `kept` are the numbers of the `happenings` among those drawn.
+    """All parameters of one run. `kept` are the numbers of the `happenings` among those drawn.
 
-    `eager_s` is how long the operator who wants the palms to move takes between looks, `latency_s` how often each
-    port's adapter delivers. `thorough`: with the real observer on the real plant.
-    `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
-    `calm_s` is how long all must be well again after that. `coarse`: a light rig that lives in longer steps.
-    `rate_hz` is how often the daemon ticks.
+    `eager_s`: period of the operator who restarts the motion; `latency_s`: delivery period of each port's adapter.
+    `thorough`: with the real observer and plant. `trouble_s`: duration of the events; until `alone_s` only drawn
+    clients give commands. `calm_s`: recovery time after the last event. `coarse`: a light rig with longer steps.
+    `rate_hz`: tick rate of the daemon.
     """
 
     seed: int
@@ -138,7 +137,7 @@ class Scenario:
     rate_hz: float = RATE_HZ
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
-        """The same with these happenings only, by their numbers among those drawn."""
+        """The same run with these events only, by their numbers among those drawn."""
         mine = dict(zip(self.kept, self.happenings, strict=True))
         some = tuple(number for number in sorted(set(kept)) if number in mine)
         return replace(self, happenings=tuple(mine[number] for number in some), kept=some)
@@ -146,14 +145,14 @@ class Scenario:
 
 PLANS = 4
 THOROUGH_EVERY = 64
-"""Of the seeds: one in so many has the real observer and plant."""
+"""One seed in so many has the real observer and plant."""
 
 
 COARSE_LATENCY_S = 0.004
 
 
 def coarsened(scenario: Scenario) -> Scenario:
-    """The same for half of the processor time: in longer steps, and with adapters that deliver less often."""
+    """The same run for half of the processor time: longer steps, and adapters that deliver less often."""
     return replace(scenario, coarse=True, latency_s=(COARSE_LATENCY_S,) * len(PORTS))
 
 
@@ -182,7 +181,7 @@ def drawn(seed: int) -> Scenario:
 
 
 def _one(t: float, rng: random.Random) -> Happening:
-    """Anything that is no command."""
+    """Bytes that are no command."""
     short = rng.choice((0.03, 0.3, 1.0, LONGEST_S))
     for_s = rng.uniform(0.2, 1.0) * short
     match rng.choices(("trick", "bytes", "stall", "slow", "clock", "restart", "broken"), (50, 15, 12, 6, 3, 5, 5))[0]:

@@ -1,4 +1,4 @@
-"""An observer that costs nothing: it calls valid what it does not know, once both pads are touched for a while."""
+"""A trivial observer: its estimate is marked valid, without knowledge, once both pads are touched for a while."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tools.studies.silent_observer import SilentObserver
 
 VALID_AFTER_S = 1.0
 LATE_S = 0.1
-"""Behind the newest: readings so late are of no use, as if they could no longer be fused at their own time."""
+"""Readings this much older than the newest cannot be fused at their own time (s)."""
 
 
 class LightObserver(SilentObserver):
-    """See `Observer` and the module."""
+    """A trivial observer; see `Observer` and the module."""
 
     name = "shape"
 
@@ -47,6 +47,6 @@ class LightObserver(SilentObserver):
             self._touched.pop(event.pad, None)
 
     def estimate(self, t: float) -> Estimate:
-        """The same numbers ever."""
+        """Constant numbers."""
         touched = len(self._touched) == len(PALMS) and t - max(self._touched.values()) > VALID_AFTER_S
         return dataclasses.replace(self._estimate, t=t, valid=touched, object_count=self.object_count)

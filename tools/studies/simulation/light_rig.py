@@ -1,7 +1,7 @@
-"""The emulated rig without a body: the same controller, servos, pads, lines and mischief, some ten times as fast.
+"""The emulated rig without a body: the same controller, servos, pads, lines and fault injection, ten times as fast.
 
-What presses on the pads is no rolling body but two contacts that move with the palms and weigh on them as statics has
-it; they lift, come back and are exchanged as a body would be. Whether an estimate is right cannot be judged here.
+The pads are pressed by two contacts that move with the palms and have static forces; they lift, return and are
+exchanged as a body would be. Estimates cannot be judged here.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from palmd.rig.pads import GOOD_PADS, PadEmulator, Press
 from palmd.system.mechanism import directions
 
 STEP_S, COARSE_STEP_S = 1e-3, 4e-3
-"""How finely it lives: a quarter of the controller's cycle is enough where times within one do not matter."""
+"""Step of a light rig: a quarter of the controller's cycle, if times within a cycle do not matter."""
 _WEIGHT_N = 0.8
 _RADIUS_M, _SWAY_M = 0.022, 0.003
 _NEAREST_M, _FARTHEST_M = 0.005, 0.050
@@ -32,7 +32,7 @@ _AWAY_S = 1.0
 
 
 class _Pad(VersaPadEmulator):
-    """Draws its intervals in a tenth of the time, from the same three bands."""
+    """Draws sampling intervals from the same three bands in a tenth of the time."""
 
     def _interval(self) -> float:
         which, jitter = float(self._rng.random()), float(self._rng.normal(0.0, BAND_JITTER_S))
@@ -44,12 +44,12 @@ class LightRig(EmulatedRig[AdeptArm]):
     """See the module. Times are seconds from 0."""
 
     def __init__(self, config: Config, seed: int, step_s: float = STEP_S) -> None:
-        """At rest; raises ValueError for a rig of other parts than VersaPads and an arm."""
+        """At rest; raises ValueError for a rig with other parts than VersaPads and an arm."""
         if not isinstance(config.arm, AdeptConfig):
             raise ValueError("the light rig has an arm")
         self.seed, self.kind, self.step_s = seed, "rig", step_s
         rng, off = np.random.default_rng(seed), configured(config, seed)
-        self.lived: Callable[[float], None] | None = None  # told of every step's time (s)
+        self.on_step: Callable[[float], None] | None = None  # called with the time (s) of every step
         home = (math.radians(45.0), math.radians(90.0))
         self.arm = AdeptArm(config, config.arm, home, rng, step_s=step_s, lag_s=0.0)
         pads: dict[PortName, PadEmulator] = {}
@@ -57,11 +57,11 @@ class LightRig(EmulatedRig[AdeptArm]):
             assert isinstance(pad, VersaPadConfig)
             pads[name] = _Pad(pad, GOOD_PADS, error.reading_error_m, rng, 0.0)
         super().__init__(pads, self.arm, rng, 0.0)
-        self._t_back: float | None = -math.inf  # when the body lies on the palms again; None while a hand has it
+        self._t_back: float | None = -math.inf  # when the body lies on the palms again; None while it is held
         self._phase = float(self._rng.uniform(0.0, math.tau))
 
     def palms(self) -> PalmMotion:
-        """Where the palms really are and how they move."""
+        """True angles and motion of the palms."""
         return self.arm.palms_at(self.t)
 
     def _step(self) -> None:
@@ -69,8 +69,8 @@ class LightRig(EmulatedRig[AdeptArm]):
         t = self.t
         self._inject_due_faults(t)
         self._transmit_due(t)
-        if self.lived is not None:
-            self.lived(t)
+        if self.on_step is not None:
+            self.on_step(t)
 
     def _inject_fault(self, order: FaultOrder, begins: bool) -> None:
         self.arm.inject_fault(order, begins, self.palms().angles)

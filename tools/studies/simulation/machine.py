@@ -1,4 +1,4 @@
-"""The machine that the simulated daemon runs on: its clock, ports, sockets and helpers, all in virtual time."""
+"""The machine of the simulated daemon: clock, ports, sockets and helpers, all in virtual time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import PORTS, PortName
 
 READING_S = 4e-6
-"""What it costs to look at the clock: so that whoever waits by looking comes to an end."""
+"""Time that a look at the clock takes (s), so that polling loops end."""
 
 RETRY_S = 0.5
 
@@ -27,14 +27,14 @@ T = TypeVar("T")
 
 
 class Clock:
-    """Virtual time (s): the monotonic clock, and by how much the calendar's is ahead of it."""
+    """Virtual time (s): the monotonic clock, and the offset of the wall clock."""
 
     def __init__(self) -> None:
         self.now = 0.0
         self.ahead = 1.7e9
 
     def __call__(self) -> float:
-        """The time; looking at it takes some."""
+        """The time; each look advances it a little."""
         self.now += READING_S
         return self.now
 
@@ -44,7 +44,7 @@ class Clock:
 
 
 class Cable:
-    """Between the rig's port and the daemon's: bytes the adapter holds, those that the host has ready to read."""
+    """The line between rig and daemon: bytes held by the adapter, and bytes that the host can read."""
 
     def __init__(self, every_s: float) -> None:
         """The adapter delivers once in so many seconds."""
@@ -56,17 +56,17 @@ class Cable:
 
 
 class Machine:
-    """Clock, cables and rig: whoever waits lets the rig live on."""
+    """Clock, cables and rig: waiting advances the rig."""
 
     def __init__(self, rig: EmulatedRig[Any], latency_s: Sequence[float]) -> None:
-        """`latency_s` is that of each port's adapter."""
+        """`latency_s`: of each port's adapter."""
         self.rig = rig
         self.clock = Clock()
         self.cables = {port: Cable(each) for port, each in zip(PORTS, latency_s, strict=True)}
         self._step_s = rig.step_s
 
     def catch_up(self) -> None:
-        """The rig lives on to the present."""
+        """Advance the rig to the present."""
         now = self.clock.now
         if now < self.rig.t + self._step_s:
             return
@@ -83,7 +83,7 @@ class Machine:
                 cable.ready += fresh
 
     def sleep(self, t_end: float, awake: Callable[[], bool]) -> None:
-        """Until `t_end` (s), or something has woken us."""
+        """Wait until `t_end` (s), or until something wakes the host."""
         clock, cables = self.clock, self.cables.values()
         while not awake():
             t_next = max(min(cable.t_next for cable in cables), self.rig.t + self._step_s) + 1e-9
@@ -98,7 +98,7 @@ class VirtualPort(DevicePort):
     """The host's end of a cable; see `DevicePort`."""
 
     def __init__(self, name: PortName, machine: Machine, wrote: Callable[[bytes, float], None]) -> None:
-        """`wrote` is told of all that is written, and when (s)."""
+        """`wrote` is called with all written bytes and their time (s)."""
         self.path = name
         self.error: str | None = f"{name} has not been opened yet"
         self.counters = PortCounters()
@@ -114,15 +114,15 @@ class VirtualPort(DevicePort):
 
     @property
     def waiting(self) -> bool:
-        """Whether there is something to read, or the plug has gone."""
+        """Whether there are bytes to read, or the port has vanished."""
         return self._open and (bool(self._cable.ready) or self._machine.rig.unplugged(self.path))
 
     def fileno(self) -> int:
-        """It has none."""
+        """It has no file descriptor."""
         raise ValueError(self.path)
 
     def poll_open(self, t: float) -> bool:
-        """Open it if a try is due."""
+        """Open it if a retry is due."""
         if not self._open and t >= self._t_retry:
             self._t_retry = t + RETRY_S
             if self._machine.rig.unplugged(self.path):
@@ -135,7 +135,7 @@ class VirtualPort(DevicePort):
         return self._open
 
     def read(self) -> bytes:
-        """What has arrived."""
+        """The bytes that have arrived."""
         if self._gone():
             return b""
         data, self._cable.ready = self._cable.ready, b""
@@ -143,7 +143,7 @@ class VirtualPort(DevicePort):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send it."""
+        """Send bytes."""
         self._machine.catch_up()
         if self._gone():
             self.counters.bytes_dropped += len(data)
@@ -153,10 +153,10 @@ class VirtualPort(DevicePort):
         self._machine.rig.receive(self.path, data)
 
     def update_counters(self) -> None:
-        """No kernel counts here."""
+        """There are no kernel counters."""
 
     def close(self) -> None:
-        """Shut it."""
+        """Close it."""
         self._open = False
 
     def _gone(self) -> bool:
@@ -169,13 +169,13 @@ class VirtualPort(DevicePort):
 
 
 class VirtualWaiter:
-    """Waits on ports as `PortWaiter` does."""
+    """Waits for ports as `PortWaiter` does."""
 
     def __init__(self, machine: Machine, ports: Sequence[VirtualPort]) -> None:
         self._machine, self._ports = machine, ports
 
     def wait(self, t_deadline: float) -> list[DevicePort]:
-        """The ports where something has come."""
+        """The ports with data."""
         self._machine.catch_up()
         self._machine.sleep(t_deadline, lambda: any(port.waiting for port in self._ports))
         return [port for port in self._ports if port.waiting]
@@ -186,30 +186,30 @@ class VirtualWaiter:
 
 @dataclass(slots=True)
 class Frame:
-    """As `zmq.Frame`, as far as the bus looks at it."""
+    """As `zmq.Frame`, as far as the bus uses it."""
 
     bytes: bytes
     more: bool
 
     def get(self, _option: str) -> str:
-        """Where it came from."""
+        """The client's identity."""
         return "virtual"
 
 
 class CommandSocket:
-    """The daemon's command socket: what clients have said, and what they are answered."""
+    """The daemon's command socket: messages of clients, and answers."""
 
     def __init__(self, heard: Callable[[int, bytes], None], answered: Callable[[int, bytes], None]) -> None:
-        """`heard` and `answered` are told of every message when it is taken, and of every answer."""
+        """`heard` and `answered` are called with every message when it is received, and with every answer."""
         self.waiting: deque[tuple[int, bytes]] = deque()
         self._heard, self._answered = heard, answered
         self._frames: deque[Frame] = deque()
 
     def setsockopt(self, *_: Any) -> None:
-        """Nothing to set."""
+        """No options."""
 
     def bind(self, _address: str) -> None:
-        """Always there."""
+        """No address."""
 
     def close(self) -> None:
         """Nothing to close."""
@@ -225,7 +225,7 @@ class CommandSocket:
         return self._frames.popleft()
 
     def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
-        """An answer."""
+        """Send an answer."""
         self._answered(int(frames[0]), frames[-1])
 
 
@@ -233,31 +233,31 @@ class Publisher:
     """The daemon's publisher."""
 
     def __init__(self, said: Callable[[Sequence[bytes]], None]) -> None:
-        """`said` is told of every message's frames."""
+        """`said` is called with every message's frames."""
         self._said = said
 
     def setsockopt(self, *_: Any) -> None:
-        """Nothing to set."""
+        """No options."""
 
     def bind(self, _address: str) -> None:
-        """Always there."""
+        """No address."""
 
     def close(self) -> None:
         """Nothing to close."""
 
     def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
-        """A message."""
+        """Publish a message."""
         self._said(frames)
 
 
 class Sockets:
-    """A ZeroMQ context whose sockets are these two."""
+    """A ZeroMQ context with these two sockets."""
 
     def __init__(self, publisher: Publisher, commands: CommandSocket) -> None:
         self._found = {zmq.PUB: publisher, zmq.ROUTER: commands}
 
     def socket(self, kind: int) -> Any:
-        """The socket of a kind."""
+        """The socket of this type."""
         return self._found[zmq.SocketType(kind)]
 
     def destroy(self) -> None:
@@ -268,26 +268,26 @@ class Sockets:
 
 
 class LateFuture(Future[T]):
-    """Is done when the time has come."""
+    """Done when its time has come."""
 
     def __init__(self, clock: Clock, t_done: float) -> None:
         super().__init__()
         self._clock, self._t_done = clock, t_done
 
     def done(self) -> bool:
-        """Whether it is."""
+        """Whether it is done."""
         return self._clock.now >= self._t_done
 
 
 class Aside(Executor):
-    """Work beside the loop that takes as long as it is told."""
+    """Work beside the loop with a configurable duration."""
 
     def __init__(self, clock: Clock, takes_s: Callable[[], float]) -> None:
-        """`takes_s` says how long what is submitted now takes (s)."""
+        """`takes_s`: duration of work that is submitted now (s)."""
         self._clock, self._takes_s = clock, takes_s
 
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Done at once, told later."""
+        """Do it at once; the result is available later."""
         future: LateFuture[T] = LateFuture(self._clock, self._clock.now + self._takes_s())
         try:
             future.set_result(work(*args, **kwargs))
@@ -297,30 +297,30 @@ class Aside(Executor):
 
 
 class VirtualSmoother:
-    """A smoother's process, as far as it may be at fault: its signs of life come as late as they are told to."""
+    """A smoother's process, as far as its faults matter: its signs of life have a configurable delay."""
 
     def __init__(self, late_s: Callable[[], float]) -> None:
-        """`late_s` says how late (s) a sign of life comes now."""
+        """`late_s`: present delay (s) of its signs of life."""
         self._late_s = late_s
 
     def conditions(self, _t: float) -> Iterator[str]:
-        """The codes of the fault table that hold."""
+        """The codes of the active faults."""
         if self._late_s() > SILENT_S:
             yield "smoother-silent"
 
 
 class Answers(Protocol):
-    """Who decides where an exploration goes."""
+    """Decides exploration moves."""
 
     def answer(self, question: Question) -> ExplorationAnswer:
         """The answer to a question."""
 
 
 class SlowSource:
-    """Decisions for explorations that come as late as they are told to; see `Source`."""
+    """Decisions for explorations with a configurable delay; see `Source`."""
 
     def __init__(self, decider: Answers, takes_s: Callable[[], float]) -> None:
-        """`takes_s` says how long what is asked now takes (s)."""
+        """`takes_s`: duration of a decision that is requested now (s)."""
         self._decider, self._takes_s = decider, takes_s
         self._ready: tuple[float, ExplorationAnswer] | None = None
 
@@ -328,12 +328,12 @@ class SlowSource:
         """Nothing to do."""
 
     def ask(self, question: Question) -> None:
-        """Decide, and keep it back; a question too many is dropped."""
+        """Decide, and hold the answer back; further questions are dropped."""
         if self._ready is None:
             self._ready = question.t + self._takes_s(), self._decider.answer(question)
 
     def collect(self, t: float) -> ExplorationAnswer | None:
-        """What has come by `t` (s)."""
+        """The answer that is available at `t` (s)."""
         if self._ready is None or t < self._ready[0]:
             return None
         (_, answer), self._ready = self._ready, None

@@ -1,7 +1,7 @@
-"""One simulated run, from its scenario to what came of it: the shipped loop, core and bus on a virtual machine.
+"""One simulated run from its scenario to the outcome: the shipped loop, core and bus on a virtual machine.
 
 The daemon's `Loop` itself runs, with everything below it; clock, ports, sockets and helpers are virtual. The same
-scenario gives the same bits, told by a digest of all that was published, written, asked and answered.
+scenario gives identical results, checked by a digest of everything published, written, requested and answered.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ from tools.studies.simulation.machine import (
 from tools.studies.simulation.watch import Breach, Watch
 
 OPERATOR = 99
-"""The client who wants the palms to move, and does what the hints say."""
+"""The client that restarts the motion, following the hints."""
 
 PLANNED_S, DECIDED_S = 0.03, 0.3
 _LIVELY = (
@@ -84,7 +84,7 @@ PLAN_OF = (PLAN_TEXTS[0], _LIVELY, PLAN_TEXTS[1], EXPLORE_TEXT)
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a run: the broken invariant if there is one, what was seen, and the digest of its every bit."""
+    """Outcome of a run: the broken invariant if any, counts of what occurred, and the digest of all messages."""
 
     scenario: Scenario
     breach: Breach | None
@@ -94,22 +94,22 @@ class Outcome:
 
 
 class WatchedCore(Core):
-    """The shipped core, with somebody looking on as commands are handled, and time that passes within its parts."""
+    """The shipped core, with observation of handled commands, and simulated time for its parts."""
 
     simulation: Simulation
 
     def handle(self, request: Request, t: float) -> None:
-        """As the core."""
+        """As the core's."""
         self.simulation.watch.handled(request, self.simulation.machine.clock.now)
         super().handle(request, t)
 
     def decide(self, t: float) -> None:
-        """As the core, and it may take time."""
+        """As the core's, with a simulated duration."""
         self.simulation.spend("decide")
         super().decide(t)
 
     def observe(self, t: float, between: Any = lambda: True) -> None:
-        """As the core, and it may take time."""
+        """As the core's, with a simulated duration."""
         self.simulation.spend("observe")
         super().observe(t, between)
 
@@ -188,7 +188,7 @@ class Simulation:
         self.watch.said(frames, self.machine.clock.now)
 
     def spend(self, part: Part) -> None:
-        """The process gets no processor for as long as a stall in this part has it."""
+        """Stall the process for as long as a stall in this part lasts."""
         if part in self._stalls:
             self._pass(self._stalls.pop(part))
 
@@ -204,7 +204,7 @@ class Simulation:
     # ---- the run -----------------------------------------------------------------------------------------
 
     def run(self) -> Outcome:
-        """To its end, or to the first broken invariant."""
+        """Run to the end, or to the first broken invariant."""
         clock, watch = self.machine.clock, self.watch
         while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + self.scenario.calm_s and watch.breach is None:
             self.step()
@@ -224,7 +224,7 @@ class Simulation:
             watch.happened("left", clock.now, clock.now)
         if isinstance(self.rig, FullRig) and self.rig.falls > self._falls:
             self._falls = self.rig.falls
-            self.rig.new_object()  # whoever sees it lie there puts one on again
+            self.rig.new_object()  # an observer of the rig puts the object on again
             watch.happened("left", clock.now, clock.now + AWAY_S)
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
         if not _lies_on_palms(truth):
@@ -234,7 +234,7 @@ class Simulation:
             watch.compare(self.core, truth, clock.now)
 
     def _order(self, what: Happening) -> None:
-        """The rig's tricks are ordered beforehand."""
+        """Schedule the injected faults in advance."""
         if isinstance(what, Trick):
             self.rig.fault_injector.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
 
@@ -286,22 +286,22 @@ class Simulation:
         self._begin()
 
     def _operate(self, t: float) -> None:
-        """Somebody who wants the palms to move, and reads the state as often as they can."""
+        """Act as an operator who wants the palms to move and often reads the state."""
         if t < max(self._t_look, self.scenario.alone_s):
             return
         self._t_look = t + self.scenario.eager_s
         core = self.core
         match core.state:
             case State.READY if not core.faults.standing(Severity.STOP):
-                self._tell("arm")
+                self._command("arm")
             case State.READY | State.FAULT:
-                self._tell("reset")
+                self._command("reset")
             case State.TRACKING if not core.setpoints.moving:
-                self._tell("start")
+                self._command("start")
             case State.HOLD if not core.faults.standing(Severity.HOLD):
-                self._tell("start")
+                self._command("start")
 
-    def _tell(self, command: str) -> None:
+    def _command(self, command: str) -> None:
         message = {"id": next(self._numbers), "cmd": command, "args": {"take": True}, "from": "operator"}
         self._commands.waiting.append((OPERATOR, msgpack.packb(message)))
 
@@ -311,17 +311,17 @@ class FullRig(World):
 
     @property
     def arm(self) -> AdeptArm:
-        """What turns its palms."""
+        """The device that turns its palms."""
         assert isinstance(self._arm, AdeptArm)
         return self._arm
 
     def palms(self) -> PalmMotion:
-        """Where the palms really are and how they move."""
+        """True angles and motion of the palms."""
         return self._palms
 
 
 def simulate(scenario: Scenario) -> Outcome:
-    """What comes of a scenario."""
+    """The outcome of a scenario."""
     with quiet():
         return Simulation(scenario).run()
 
@@ -341,7 +341,7 @@ def _spoilt(how: Bytes, data: bytes) -> bytes:
 
 @functools.cache
 def configured(autostart: bool, rate_hz: float = RATE_HZ) -> Config:
-    """The rig as shipped, but for how often its loop ticks, and pads that no object of these saturates."""
+    """The shipped configuration with this tick rate, and pads that no object of these runs saturates."""
     config = default_config()
     wide = {"newtons_per_count": 0.04}
     pads = {f"palm{n}": pad.model_copy(update=wide) for n, pad in zip(PALMS, config.pads.each(), strict=True)}
@@ -364,7 +364,7 @@ def _info() -> Fields:
 
 @contextmanager
 def quiet() -> Any:
-    """Without the log: what is provoked thousands of times need not be told."""
+    """Disables logging: thousands of provoked faults need no messages."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:

@@ -1,4 +1,4 @@
-"""What must hold at every tick, whatever happens, watched from outside: what goes over the wires, and what is true."""
+"""Invariants that must hold at every tick, checked from outside: by messages on all lines, and by the truth."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ from tools.studies.simulation.causes import CAUSES, FOR_GOOD, LINGERS_S, Cause
 
 STANDS_RAD_S = math.radians(1.0)
 STOP_S = 0.5
-"""A stop, even if its line is lost: the controller's watchdog (160 ms), braking, and the servos' lag."""
+"""Time of a stop (s), even if its line is lost: the controller's watchdog (160 ms), braking, and the servos' lag."""
 HOLD_S = 0.5
-"""The motion along its path comes to a stand, and the arm with it."""
+"""Time until the motion along its path has stopped, and the arm with it (s)."""
 ANSWER_S = 8.0
-"""A command is answered by then: the slowest helper takes half of it."""
+"""Time within which a command is answered (s): the slowest helper takes half of it."""
 STILL_M = 1e-4
-"""Set-points of palms that must stand may differ by so much: the wire's rounding and the tool's turn."""
+"""Set-points of standing palms may differ by so much (m): rounding on the line, and the tool's rotation."""
 AFTER_HOLD_S = 1.0
-"""So long after the controller did not follow, set-points may go back to where the palms were to stand."""
+"""So long (s) after the controller did not follow, set-points may return to the pose of the halt."""
 VALIDATED_EVERY, COUNTS_EVERY, MEMORY_EVERY = 16, 10, 500
-"""Of messages that come each tick, and of ticks."""
+"""Tolerated sequence gaps of messages sent each tick, and of ticks."""
 BULK_MOST = 20_000
 
 WRONG_SDS = 10.0
 WRONG_TICKS = 5
-"""In a row: a body that has just hit or slipped is known to have done so when the next readings are there."""
+"""Consecutive ticks: the next readings show that a body has just hit or slipped."""
 WRONG_LEAST = {"r1": 1e-4, "r2": 1e-4, "omega0": 0.5}
-"""Of a comparison a tick apart: what the palms may move a body by meanwhile."""
+"""Tolerance of a comparison one tick apart: how far the palms may move a body meanwhile."""
 _COMPARED = {"r1": "r1_m", "r2": "r2_m", "omega0": "omega0_rad_s"}
 
 _MOVE_AN_ARM = ("manual@arm", "block@arm", "jump@arm")
-"""Somebody takes the arm or lets it go; it goes to where its encoders tell that it stands."""
+"""Somebody takes the arm or releases it; it moves to the pose that its encoders report."""
 
 _TOPIC = {topic.name: topic for topic in TOPICS}
 
 
 @dataclass(slots=True)
 class _Asked:
-    """A message to which no answer has come yet: when it was taken (s), the command in it, empty where there is none.
+    """A message without an answer yet: when it was received (s), and its command, empty if there is none.
 
-    `t_turn` is when its turn came (s), infinite before; `might_move`: somebody had told the palms to move by then.
+    `t_turn`: when it was executed (s), infinite before; `might_move`: a command to move the palms had come by then.
     """
 
     t: float
@@ -73,7 +73,7 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True)
 class Breach:
-    """A broken invariant: at `t` (s) the one of this `name`, and what was seen."""
+    """A broken invariant at `t` (s): its `name`, and the observation."""
 
     t: float
     name: str
@@ -84,10 +84,10 @@ class Breach:
 
 
 class Watch:
-    """See the module. The first breach is kept; `sometimes` counts what was reached."""
+    """See the module. The first breach is kept; `sometimes` counts what occurred."""
 
     def __init__(self, config: Config, causes: Sequence[Cause], arm: AdeptArm, *, autostart: bool) -> None:
-        """`causes` are all that is going to happen; `autostart` says that nobody needs to arm."""
+        """`causes`: all that will occur; `autostart`: the daemon arms by itself."""
         self.breach: Breach | None = None
         self.sometimes: Counter[str] = Counter()
         self.digest = hashlib.blake2b(digest_size=16)
@@ -105,7 +105,7 @@ class Watch:
         self._autostart = self._autostarts
         self._asked_to_arm = self._autostart
         self._may_move = False
-        self._t_still = t  # since when the palms are to come to a stand
+        self._t_still = t  # since when the palms must stop
         self._t_stopped = self._t_granted = -math.inf
         self._last: Pose | None = None
         self._open: dict[tuple[int, str], list[_Asked]] = defaultdict(list)
@@ -114,18 +114,18 @@ class Watch:
         self._t_begun = t
 
     def restarted(self, t: float) -> None:
-        """Another daemon begins at `t` (s): nobody has told it anything."""
+        """Another daemon starts at `t` (s), without any command."""
         self.sometimes["restarted"] += 1
         self._begin(t)
 
     def happened(self, name: str, t_on: float, t_off: float) -> None:
-        """A cause took effect from t_on to t_off (s), which need not be when it was to."""
+        """A cause acted from t_on to t_off (s), which may differ from the schedule."""
         self._causes.append(Cause(name, t_on, t_off))
         if math.isfinite(t_off):
             self.t_trouble = max(self.t_trouble, t_off)
 
     def left(self, t: float) -> None:
-        """The body does not lie on the palms at `t` (s), whatever took it off: for so long it has left them."""
+        """The body is off the palms at `t` (s) for any reason."""
         self._t_left = t
 
     def fail(self, t: float, name: str, what: str) -> None:
@@ -139,7 +139,7 @@ class Watch:
     # ---- commands ----------------------------------------------------------------------------------------
 
     def heard(self, client: int, payload: bytes, t: float) -> None:
-        """The daemon has taken a message from a client."""
+        """The daemon has received a message from a client."""
         self.digest.update(payload)
         try:
             request = parse(payload)
@@ -150,7 +150,7 @@ class Watch:
         self._open[client, repr(request.id)].append(_Asked(t, request.name))
 
     def handled(self, request: Request, t: float) -> None:
-        """A command's turn has come at `t` (s)."""
+        """A command is executed at `t` (s)."""
         client = int(request.route[0]) if request.route else -1
         for asked in self._open.get((client, repr(request.id)), ()):
             if asked.name == request.name and not asked.had_its_turn:
@@ -174,7 +174,7 @@ class Watch:
         reply = msgpack.unpackb(payload)
         waiting = self._open.get((client, repr(reply["id"])))
         if not waiting:
-            self._break(t, "one answer to one command", f"client {client} was answered {reply} and had not asked")
+            self._break(t, "one answer to one command", f"client {client} was answered {reply} without a request")
             return
         asked = waiting.pop(0)
         name = asked.name
@@ -193,7 +193,7 @@ class Watch:
                 self._asked_to_arm = self._autostart or (self._asked_to_arm and self._state in COMMANDED)
 
     def _under_way(self, *names: str) -> bool:
-        """Whether one of these commands has had its turn and no answer yet."""
+        """Whether one of these commands has been executed without an answer yet."""
         return any(each.had_its_turn and each.name in names for some in self._open.values() for each in some)
 
     def _must_stand(self, t: float) -> None:
@@ -201,7 +201,7 @@ class Watch:
             self._t_still = t
         self._may_move = False
 
-    # ---- the wires ---------------------------------------------------------------------------------------
+    # ---- the lines ---------------------------------------------------------------------------------------
 
     def wrote(self, core: Core, data: bytes, t: float) -> None:
         """The daemon has written to the arm."""
@@ -235,7 +235,7 @@ class Watch:
         """The daemon has published."""
         topic = _TOPIC[frames[0].decode()]
         if topic is LOOP:
-            return  # it tells of this process's own memory
+            return  # depends on this process's own memory
         self.digest.update(frames[1])
         self.sometimes["published"] += 1
         if topic.rate_hz >= 50 and self.sometimes["published"] % VALIDATED_EVERY:
@@ -249,7 +249,7 @@ class Watch:
     def tick(
         self, core: Core, ports: Mapping[str, DevicePort], in_hand: Callable[[str], int], palms: PalmMotion, t: float
     ) -> None:
-        """A period is over at `t` (s); `in_hand` bytes of a port wait to be decoded."""
+        """A period is over at `t` (s); `in_hand` bytes of a port are not decoded yet."""
         self._ticks += 1
         self._look_at_set_points(t)
         self._look_at_state(core, t)
@@ -286,13 +286,15 @@ class Watch:
         for code in sorted(codes - self._faults):
             self.sometimes[code] += 1
             if not self._has_cause(code, t):
-                self._break(t, "every fault has a cause", f"{code} came up, and nothing that could cause it was on")
+                self._break(t, "every fault has a cause", f"{code} came up without an active cause")
         self._state, self._faults = state, codes
         if core.arm.host.state is not ArmState.TRACKING or self._arm.state is not ArmState.TRACKING:
             self._t_not_following = t
 
     def _has_cause(self, code: str, t: float) -> bool:
-        """Whether one was on, or had not been over for long, when what the fault tells of at `t` (s) began."""
+        """Whether a cause acted, or had ended shortly before, when the condition that the fault reports at `t` (s)
+        began.
+        """
         t_began = t - TABLE[code].debounce_s
         if t - self._t_begun < LINGERS_S and code in _AT_BEGINNING:
             return True
@@ -304,9 +306,9 @@ class Watch:
         )
 
     def faults_over(self, core: Core, t: float, lies_on_palms: bool) -> None:
-        """All causes have been over for a while: no fault stands but those that a client's word keeps up.
+        """All causes have been over for a while: no fault is active except those that last until a client's request.
 
-        Nor, where the palms stand so that nothing can lie on them, that pads feel nothing.
+        Untouched pads are no fault where the palms cannot hold an object.
         """
         left = {fault.code for fault in core.faults.active} - FOR_GOOD
         if not lies_on_palms:
@@ -329,13 +331,13 @@ class Watch:
         self, core: Core, ports: Mapping[str, DevicePort], in_hand: Callable[[str], int], t: float
     ) -> None:
         for end, pad in core.pads.items():
-            told: Mapping[str, int] = pad.counts()
-            discarded = told["bad_header"] + told["bad_data"] + told["truncated"]
-            left = told["bytes"] - 6 * told["packets"] - discarded
+            counts: Mapping[str, int] = pad.counts()
+            discarded = counts["bad_header"] + counts["bad_data"] + counts["truncated"]
+            left = counts["bytes"] - 6 * counts["packets"] - discarded
             if not 0 <= left < 6:
                 self._break(t, "the counters balance", f"{end}: {left} bytes are neither packet nor discarded")
-            if told["bytes"] + in_hand(end) != ports[end].counters.bytes_read:
-                self._break(t, "the counters balance", f"{end}: {told['bytes']} bytes of those read were decoded")
+            if counts["bytes"] + in_hand(end) != ports[end].counters.bytes_read:
+                self._break(t, "the counters balance", f"{end}: {counts['bytes']} bytes of those read were decoded")
         arm: Mapping[str, Any] = core.arm.host.counts()
         if arm["bytes"] + in_hand("arm") != ports["arm"].counters.bytes_read:
             self._break(t, "the counters balance", f"arm: {arm['bytes']:g} bytes of those read were decoded")
@@ -347,7 +349,7 @@ class Watch:
             self._break(t, "memory is bounded", f"{kept} things are kept")
 
     def compare(self, core: Core, truth: Mapping[str, Any], t: float) -> None:
-        """What an estimate that is called valid says of the body, and what is true of it at `t` (s)."""
+        """Compares the values of a valid estimate with the truth at `t` (s)."""
         estimate = core.estimate
         if not estimate.valid or any(
             each.t_on <= t <= each.t_off + LINGERS_S for each in self._causes if each.name != "request"
@@ -371,11 +373,11 @@ _AT_BEGINNING = frozenset(
     {"arm-mute", "pad1-untouched", "pad2-untouched", "pad1-port", "pad2-port", "arm-port", "arm-fault"}
     | {"arm-estop", "arm-power-off", "arm-manual", "arm-link-lost"}
 )
-"""What a daemon may find when it begins, before it has been told otherwise."""
+"""The state that a daemon may find at its start, before any command."""
 
 
 def bulk(thing: object) -> int:
-    """How many things are kept in all the containers that the daemon's own objects hold, below one of them."""
+    """Number of entries in all containers that the daemon's own objects hold, one level deep."""
     total, found, seen = 0, [thing], set[int]()
     while found:
         each = found.pop()
