@@ -69,7 +69,7 @@ class PadScale(Protocol):
 
 
 class FixedScale(NamedTuple):
-    """`PadScale` of a pad in the loop: a configuration computes its corrections anew each time."""
+    """`PadScale` of a pad in the loop: a configuration computes its corrections on each access."""
 
     zero_mm: float
     sign: int
