@@ -263,7 +263,7 @@ def test_a_small_study_of_real_runs():
         true, sd = ([getattr(row.beliefs[name], what) for name in CONSTANTS] for what in ("true", "sd"))
         assert (np.abs(true) > 0.0).all()
         assert (np.abs(true) <= 3.0 * math.sqrt(2.0) * prior_sd).all()
-        wider = np.array(sd) > 1.01 * prior_sd  # a rig constant inflates its own bands: one of few constants
+        wider = np.array(sd) > 1.01 * prior_sd  # inflated because of a doubtful rig: few constants
         assert wider.mean() < 0.25
         assert (np.array(sd) <= 1.5 * prior_sd).all()
     together = stats.chi2(len(CONSTANTS) * len(accepted))

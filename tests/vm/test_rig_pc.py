@@ -130,7 +130,7 @@ def test_an_adapter_may_be_unplugged_and_plugged_in_again(pc):
 
 
 @pytest.mark.parametrize("step", ["+1 hour", "-1 hour"])
-def test_a_clock_step_of_an_hour_has_no_effect(pc, step):
+def test_a_clock_step_of_an_hour_causes_no_fault_and_no_restart(pc, step):
     pc.ready()
     before = pc.hear()
     pc.ask(f"date -s '{step}'")

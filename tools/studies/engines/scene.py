@@ -139,7 +139,7 @@ class RunRows:
     """Collects a run of an engine, row by row."""
 
     def __init__(self, start: BodyState) -> None:
-        """To be called before the first step."""
+        """Start with the state before the first step."""
         self.deepest = 0.0
         self._rows: list[tuple[float, ...]] = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
         self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0

@@ -13,7 +13,7 @@ LINGERS_S = 3.0
 
 _LINE = frozenset({"drop", "garble", "mute", "unplug", "late", "burst", "misbaud", "bytes"})
 _BODY = frozenset({"lift", "swap", "left"})
-"""Events without an injection; `left`: the body leaves the palms by itself, for example at a pad's end."""
+"""Events of the body; `left`: it leaves the palms by itself, for example at a pad's end."""
 _HOST = frozenset({"stall", "restart", "broken"})
 _DAMAGED = frozenset({"drop", "garble", "misbaud", "bytes", "unplug", "mute"})
 

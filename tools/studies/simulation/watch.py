@@ -38,7 +38,7 @@ STILL_M = 1e-4
 AFTER_HOLD_S = 1.0
 """So long (s) after the controller did not follow, set-points may return to the pose of the halt."""
 VALIDATED_EVERY, COUNTS_EVERY, MEMORY_EVERY = 16, 10, 500
-"""Tolerated sequence gaps of messages sent each tick, and of ticks."""
+"""Periods of checks: in messages of each topic that comes every tick, and in ticks."""
 BULK_MOST = 20_000
 
 WRONG_SDS = 10.0
