@@ -12,6 +12,7 @@ import keys_of_models
 import layouts
 import shell_files
 
+from palmd.aliases import ALIASES
 from palmd.cli.table import COMMANDS as TABLE
 from palmd.cli.table import Command, load_module, parser_of
 from palmd.config.plans import ExploreSpec, HoldSpec
@@ -144,6 +145,21 @@ def fault_injection() -> str:
     return "# Fault injection in the emulated rig\n\n" + table(("fault", "what it does"), rows)
 
 
+def former_names() -> str:
+    rows = [(_code(each.where), f"`{each.standard}`", f"`{each.former}`", each.reason) for each in ALIASES]
+    return (
+        "# Former names\n\nThese names have changed. Until 2.0 the former name works too: palmd publishes and writes "
+        "both, accepts either,\nand reads recordings that have only the former one.\n\n"
+        + table(("where", "name", "former name", "reason"), rows)
+        + "\nFormer commands: [promises](promises.md). Keys of configurations, plans and event logs have not changed.\n"
+    )
+
+
+def _code(where: str) -> str:
+    """A topic as code; a place that is described in words stays as it is."""
+    return where if " " in where or "`" in where else f"`{where}`"
+
+
 def configuration() -> str:
     parts = [keys_of_models.CONFIGURATION]
     single = []
@@ -180,7 +196,8 @@ PAGES = {
     "docs/reference/faults.md": faults,
     "docs/reference/messages.md": messages,
     "docs/reference/lifecycle.md": states,
-    "docs/reference/mischief.md": fault_injection,
+    "docs/reference/fault-injection.md": fault_injection,
+    "docs/reference/former-names.md": former_names,
 }
 LAYOUTS = {"config/plotjuggler.xml": layouts.plotjuggler, "config/foxglove.json": layouts.foxglove}
 FIGURES = {

@@ -105,13 +105,13 @@ FROZEN = {
     "palm/pivot at a glance": (283, "9e3ba9380ca1c5ae"),
     "palm/pivot_shape": (10164, "4371f6e573fbb7b9"),
     "palm/pivot_events": (465, "6567bcd9e9750341"),
-    "palm/pivot_answer": (4555, "74c36a0c04cf5fd0"),
+    "palm/pivot_answer": (4565, "d6c420b4b10cca39"),
     "palm/pivot_info": (396, "959d0cc4fdb83397"),
     "palm3/estimate": (875, "6b835ab61f36b3c8"),
     "palm3/estimate at a glance": (290, "db24839e85b63e58"),
     "palm3/shape": (6934, "f022b4f22ffc2be6"),
     "palm3/events": (598, "494b8c4ef22040b1"),
-    "palm3/answer": (93915, "6e52b05e1a9cef59"),
+    "palm3/answer": (93975, "6c43a411c04cfbe1"),
     "palm3/info": (684, "eb62082f035bd1d3"),
 }
 """By message: how many bytes, and the beginning of their sha256."""

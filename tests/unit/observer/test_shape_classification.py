@@ -48,7 +48,7 @@ def test_what_is_none_of_the_forms_gets_no_name(kind: str) -> None:
     told = _named(real_object(kind, random).body, random)
     assert not told.name
     assert not told.text
-    assert as_json(told)["orientation_told"] is None
+    assert as_json(told)["orientation_determined"] is None
 
 
 def test_no_smooth_lump_is_taken_for_a_thing() -> None:
@@ -77,10 +77,10 @@ def test_the_orientation_of_a_coin_cannot_be_told_that_of_a_block_up_to_half_a_t
     coin, block = (_named(real_object(kind, random).body, random) for kind in ("coin", "block"))
     assert coin.turn_rad == 0.0
     assert coin.text.endswith("; its orientation is undetermined")
-    assert as_json(coin)["orientation_told"] is False
+    assert as_json(coin)["orientation_determined"] is False
     assert block.turn_rad == math.pi
     assert "mm long side" in block.text
-    assert as_json(block)["orientation_told"] is True
+    assert as_json(block)["orientation_determined"] is True
 
 
 def test_errors_of_sizes_are_as_told() -> None:
