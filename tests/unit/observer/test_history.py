@@ -1,4 +1,4 @@
-"""Going back for a late event: to the bank as it was, and no further than there is memory for."""
+"""Undoing events for a late one: back to the bank's earlier state, as far as memory allows."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def bank():
 
 
 def lived(bank, count):
-    """A history of events at 1, 2, … s, before each of which all states were that number."""
+    """A history of events at 1, 2, … s; before each event all states equal its number."""
     history = History([bank])
     history.use(bank)
     bank.refill()
@@ -28,7 +28,7 @@ def lived(bank, count):
     return history
 
 
-def test_what_came_after_is_undone_and_told_in_its_order(bank):
+def test_later_events_are_undone_and_returned_in_order(bank):
     undone = lived(bank, 5).undo(2.5, bank)
     assert [entry.event.t_sample for entry in undone] == [3.0, 4.0, 5.0]
     assert np.all(bank.x == 3.0)
@@ -40,10 +40,10 @@ def test_an_undone_event_is_gone(bank):
     assert history.undo(4.5, bank) is None
 
 
-def test_only_so_many_events_can_be_undone(bank):
+def test_the_number_of_events_that_can_be_undone_is_limited(bank):
     history = lived(bank, EVENTS + 3)
     assert history.undo(2.5, bank) is None
-    assert np.all(np.isnan(bank.x)), "what is too late changes nothing"
+    assert np.all(np.isnan(bank.x)), "a too late event changes nothing"
     assert len(history.undo(3.5, bank)) == EVENTS
 
 
@@ -51,4 +51,4 @@ def test_a_cleared_history_cannot_be_undone(bank):
     history = lived(bank, 5)
     history.clear()
     assert history.undo(2.5, bank) is None
-    assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "no memory is lost"
+    assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "all snapshots are reusable"
