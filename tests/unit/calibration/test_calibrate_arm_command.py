@@ -64,9 +64,9 @@ def arm(swing=large_swing, state=ArmState.MANUAL, tool=0.0, deaf=()):
                 x, y = np.array([pose.x_m, pose.y_m]) + rng.normal(0.0, 1.5e-5, 2)
                 controller.move_by_hand(Pose(x, y, math.remainder(pose.t_rad - tool, math.tau)))
                 controller.state = state
-                said = controller.feed(data, 0.0, controller.path)
+                message = controller.feed(data, 0.0, controller.path)
                 if count not in deaf:
-                    os.write(master, said)
+                    os.write(master, message)
 
     thread = threading.Thread(target=answer)
     thread.start()
@@ -144,8 +144,8 @@ def test_lost_answers_and_power_off_are_tolerated(configured):
 @pytest.mark.parametrize("state", [ArmState.READY, ArmState.TRACKING, ArmState.FAULT])
 def test_an_arm_outside_manual_mode_is_refused(configured, capsys, state):
     with arm(state=state) as port:
-        said = refused(configured(port), capsys)
-    assert f"state {state}: switch it to manual mode (M)" in said
+        message = refused(configured(port), capsys)
+    assert f"state {state}: switch it to manual mode (M)" in message
 
 
 @pytest.mark.parametrize(

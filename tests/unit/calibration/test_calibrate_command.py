@@ -128,15 +128,15 @@ def test_noise_below_the_rounding_gives_a_valid_setting():
     config = VersaPadConfig(port="p")
     packets, counters = rolled(config, 1, 20.0)
     found = characterise(packets, counters.as_dict(), config)
-    for noise, noise_sd, said in (
+    for noise, noise_sd, message in (
         (0.0, 0.004, 0.004),
         (0.002, 0.004, 0.004),
         (0.0, 0.0, 0.001),
         (0.1234, 0.004, 0.123),
     ):
         hidden = replace(found, x=replace(found.x, noise_mm=noise, noise_sd_mm=noise_sd))
-        assert pad.noise_mm(hidden, config) == said
-        assert VersaPadConfig(port="p", noise_mm=said).noise_mm == said
+        assert pad.noise_mm(hidden, config) == message
+        assert VersaPadConfig(port="p", noise_mm=message).noise_mm == message
 
 
 def test_a_pad_that_disagrees_with_its_configuration_causes_remarks(configured, monkeypatch, capsys):
@@ -177,13 +177,13 @@ def test_a_failure_keeps_an_earlier_result(configured, monkeypatch, capsys):
 def test_a_port_held_by_another_process_is_reported(configured, line, capsys):
     holder = Port("daemon", line[1], 9600)
     assert holder.poll_open(0.0)
-    said = refused(configured(line[1]), 3, capsys)
+    message = refused(configured(line[1]), 3, capsys)
     holder.close()
-    assert said.startswith(f"pad1: {line[1]} is held by another process: end it")
+    assert message.startswith(f"pad1: {line[1]} is held by another process: end it")
 
 
 @pytest.mark.parametrize(
-    ("heard", "seconds", "said"),
+    ("heard", "seconds", "message"),
     [
         (encode_packet(0, 0, 0, in_use=False), 20, "no report within 0 s: nobody has touched the pad"),
         (b"\x15" * 10, 20, "10 bytes, but no report among them at 9600 baud: check pad and baud rate"),
@@ -192,11 +192,11 @@ def test_a_port_held_by_another_process_is_reported(configured, line, capsys):
     ids=["lift-off", "garbage", "few"],
 )
 def test_reports_that_are_not_of_a_rolled_marble_are_refused(
-    configured, line, monkeypatch, capsys, heard, seconds, said
+    configured, line, monkeypatch, capsys, heard, seconds, message
 ):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
     on_first_wait(monkeypatch, lambda: os.write(line[0], heard))
-    assert refused(configured(line[1]), 3, capsys, "--seconds", seconds).startswith(f"pad1: {said}")
+    assert refused(configured(line[1]), 3, capsys, "--seconds", seconds).startswith(f"pad1: {message}")
 
 
 def test_a_lost_port_is_reported(configured, monkeypatch, capsys):
@@ -210,8 +210,8 @@ def test_a_lost_port_is_reported(configured, monkeypatch, capsys):
 
 def test_a_pad_that_does_not_answer_the_handshake_is_reported(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 1.8)
-    said = refused(configured(line[1], ", handshake: break"), 3, capsys)
-    assert said.startswith("pad1: no identity within 1 s after the break")
+    message = refused(configured(line[1], ", handshake: break"), 3, capsys)
+    assert message.startswith("pad1: no identity within 1 s after the break")
 
 
 def test_invalid_configurations_are_reported_with_their_place(configured, tmp_path, capsys):

@@ -172,15 +172,15 @@ def test_a_first_cylinder_that_stays_in_ends_the_calibration(rig, config_path, c
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
     monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     with rig():
-        said = refused(config_path, 3, capsys, calibrate=standoff)
-    assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
+        message = refused(config_path, 3, capsys, calibrate=standoff)
+    assert message == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
 
 
 @pytest.mark.usefixtures("brisk")
 def test_swapped_pads_are_refused(rig, config_path, capsys):
     with rig(crossed=True):
-        said = refused(config_path, 3, capsys)
-    assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in said
+        message = refused(config_path, 3, capsys)
+    assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in message
 
 
 @pytest.mark.usefixtures("brisk")
@@ -189,8 +189,8 @@ def test_a_daemon_with_another_configuration_is_detected(rig, config_path, capsy
         config_path.write_text(
             config_path.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}")
         )
-        said = refused(config_path, 3, capsys)
-    assert said == "pad 1's readings were made with another configuration: restart the daemon with this one"
+        message = refused(config_path, 3, capsys)
+    assert message == "pad 1's readings were made with another configuration: restart the daemon with this one"
 
 
 def test_without_contact_nothing_is_moved(rig, config_path, capsys, monkeypatch):
@@ -205,16 +205,16 @@ def test_a_cylinder_on_one_palm_only_is_reported(rig, config_path, capsys, monke
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 1.0)  # less time than the pad takes to become silent
     with rig() as world:
         world.fault_injector.add(order("mute", world.t, port="pad2", for_s=1e6))
-        said = refused(config_path, 3, capsys)
-    assert said == "the cylinder touches palm 1 but not palm 2 within 3 s: nothing has been moved"
+        message = refused(config_path, 3, capsys)
+    assert message == "the cylinder touches palm 1 but not palm 2 within 3 s: nothing has been moved"
 
 
 def test_a_fault_that_prevents_arming_is_reported(rig, config_path, capsys):
     with rig() as world:
         world.fault_injector.add(order("estop", world.t))
         time.sleep(0.3)
-        said = refused(config_path, 3, capsys)
-    assert said.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
+        message = refused(config_path, 3, capsys)
+    assert message.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
 
 
 def test_losing_the_cylinder_ends_the_calibration(rig, config_path, capsys, monkeypatch):
@@ -227,9 +227,9 @@ def test_losing_the_cylinder_ends_the_calibration(rig, config_path, capsys, monk
     with rig() as world:
         thread = threading.Thread(target=lift)
         thread.start()
-        said = refused(config_path, 3, capsys)
+        message = refused(config_path, 3, capsys)
         thread.join()
-    assert said.startswith("held for 0.5 s, so ended; pad")
+    assert message.startswith("held for 0.5 s, so ended; pad")
 
 
 def test_a_missing_daemon_is_reported(config_path, capsys):
@@ -238,8 +238,8 @@ def test_a_missing_daemon_is_reported(config_path, capsys):
 
 
 def test_cylinders_of_unsuitable_radius_are_refused(config_path, capsys, tmp_path):
-    said = refused(config_path, 1, capsys, "--radius-mm", "60")
-    assert said == (
+    message = refused(config_path, 1, capsys, "--radius-mm", "60")
+    assert message == (
         "a cylinder of 60 mm radius can be moved by 7.7 mm along the pads; at least 10 mm are needed:"
         " the radius is too large for these pads and limits.phi2_deg"
     )
@@ -266,8 +266,8 @@ def test_a_daemon_that_stops_between_the_cylinders_is_reported(config_path, caps
 
 
 def test_two_cylinders_of_similar_radius_are_refused(config_path, capsys):
-    said = refused(config_path, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
-    assert said.startswith("cylinders of 20 and 19 mm radius are too similar")
+    message = refused(config_path, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
+    assert message.startswith("cylinders of 20 and 19 mm radius are too similar")
 
 
 @pytest.mark.parametrize(

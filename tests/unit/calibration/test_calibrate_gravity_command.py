@@ -217,9 +217,9 @@ def test_a_refusal_is_reported_in_one_line_with_the_daemons_text(path, capsys, c
 def test_slopes_without_rolls_are_reported(path, capsys):
     daemon = Daemon(path, lazy=True)
     with serving(path, daemon):
-        said = refused(path, capsys, 3)
-    assert "palm 1, 8°: 0 good rolls of 13 needed" in said
-    assert said.endswith("nothing touches its pad")
+        message = refused(path, capsys, 3)
+    assert "palm 1, 8°: 0 good rolls of 13 needed" in message
+    assert message.endswith("nothing touches its pad")
     assert daemon.asked[-2:] == ["hold", "stop"]
 
 

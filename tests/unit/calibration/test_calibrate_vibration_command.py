@@ -55,8 +55,8 @@ def test_the_sd_is_the_scatter_of_speeds_from_scattered_inputs() -> None:
 def test_the_printed_lines_give_observers_the_measured_speed(config, capsys) -> None:
     before = rig_description(load_any_config(config)).vibration
     assert main(["calibrate", "vibration", str(config), *FIGURES, "--frequency-hz", f"{FREQUENCY_HZ}"]) == 0
-    said = capsys.readouterr().out
-    vibration = configured_vibration(config, said.split("rig.vibration:\n")[1])
+    message = capsys.readouterr().out
+    vibration = configured_vibration(config, message.split("rig.vibration:\n")[1])
     assert vibration.ln_speed == pytest.approx((math.log(SPEED_M_S), 0.03), rel=1e-3)
     assert vibration.frequency == FREQUENCY_HZ
     assert (vibration.relation, vibration.transmission) == (before.relation, before.transmission)
@@ -87,9 +87,9 @@ def test_an_invalid_measurement_gives_one_line_and_writes_nothing(
     shutil.copy(shipped(shipped_as), path)
     figures = ["--acceleration-m-s2", acceleration, "--acceleration-sd-m-s2", sd, "--frequency-hz", "240"]
     assert main(["calibrate", "vibration", str(path), *figures]) == 1
-    said = capsys.readouterr().err
-    assert reason in said
-    assert len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert reason in message
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "calibration").exists()
 
 

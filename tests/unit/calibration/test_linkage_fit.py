@@ -61,7 +61,7 @@ def test_play_in_a_hinge_shows_in_the_residual():
 
 
 @pytest.mark.parametrize(
-    ("ranges", "said"),
+    ("ranges", "message"),
     [
         (((60.0, 60.0), (90.0, 90.0)), "palm 2 was swung through 0° only"),
         (((40.0, 50.0), (60.0, 120.0)), "palm 1 was swung through 10° only"),
@@ -70,8 +70,8 @@ def test_play_in_a_hinge_shows_in_the_residual():
         (((40.0, 40.0), (60.0, 120.0)), "about one point"),
     ],
 )
-def test_too_little_swing_is_refused_with_the_missing_motion(ranges, said):
-    with pytest.raises(TooLittleSwingError, match=said):
+def test_too_little_swing_is_refused_with_the_missing_motion(ranges, message):
+    with pytest.raises(TooLittleSwingError, match=message):
         fit_linkage(poses(np.random.default_rng(2), (0.4, 0.1), 0.12, 0.12, 0.02, ranges=ranges))
 
 

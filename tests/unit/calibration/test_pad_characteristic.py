@@ -31,7 +31,7 @@ def moving(times):
     return [packet(t, round(200 * np.sin(3.0 * t)), round(100 * np.cos(2.0 * t))) for t in times]
 
 
-def spoilt(packets, every):
+def corrupted(packets, every):
     """Replace the place of every n-th report by a random one on the pad."""
     rng = np.random.default_rng(0)
     return [
@@ -74,11 +74,11 @@ def test_a_coarser_step_is_detected_and_excluded_from_the_noise(step):
 
 
 def test_corrupted_reports_affect_neither_noise_nor_step():
-    clean, dirty = measured(seed=3), measured(seed=3, change=lambda packets: spoilt(packets, every=60))
+    clean, dirty = measured(seed=3), measured(seed=3, change=lambda packets: corrupted(packets, every=60))
     assert dirty.x.noise_mm == pytest.approx(clean.x.noise_mm, rel=0.05)
     assert dirty.y.noise_mm == pytest.approx(clean.y.noise_mm, rel=0.05)
     thirds = [replace(p, x_counts=3 * p.x_counts) for p in moving(0.01 * np.arange(2000)) if abs(p.x_counts) < 70]
-    assert characterise(spoilt(thirds, every=60), {}, CONFIG).x.step_counts == 3
+    assert characterise(corrupted(thirds, every=60), {}, CONFIG).x.step_counts == 3
 
 
 def test_intervals_and_bands_match_a_calculation_by_hand():
@@ -178,7 +178,7 @@ def test_corrupted_bytes_are_counted_by_cause():
 
 
 @pytest.mark.parametrize(
-    ("packets", "said"),
+    ("packets", "message"),
     [
         ([], r"too few reports \(0 of at least 150\)"),
         (moving(0.01 * np.arange(149)), r"too few reports \(149 of"),
@@ -190,8 +190,8 @@ def test_corrupted_bytes_are_counted_by_cause():
         ([packet(0.01 * k, x=1500, y=k % 90) for k in range(500)], "500 reports are outside the pad: check axis"),
     ],
 )
-def test_insufficient_data_is_refused_with_a_hint(packets, said):
-    with pytest.raises(TooFewReportsError, match=said):
+def test_insufficient_data_is_refused_with_a_hint(packets, message):
+    with pytest.raises(TooFewReportsError, match=message):
         characterise(packets, {}, CONFIG)
 
 

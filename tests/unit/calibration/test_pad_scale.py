@@ -92,10 +92,10 @@ def test_a_few_outliers_do_not_change_the_result(events):
         return PadSample(event.t_sample, 1, s_mm * 1e-3, event.force)
 
     clean, _ = pad_scales(events, CONFIGURED, RADIUS_M)
-    spoilt, _ = pad_scales(on_pad(events, 1, spoil), CONFIGURED, RADIUS_M)
-    assert spoilt.spoilt > 80
-    assert spoilt.zero_mm == pytest.approx(clean.zero_mm, abs=0.005)
-    assert spoilt.counts_per_mm == pytest.approx(clean.counts_per_mm, rel=5e-4)
+    corrupted, _ = pad_scales(on_pad(events, 1, spoil), CONFIGURED, RADIUS_M)
+    assert corrupted.spoilt > 80
+    assert corrupted.zero_mm == pytest.approx(clean.zero_mm, abs=0.005)
+    assert corrupted.counts_per_mm == pytest.approx(clean.counts_per_mm, rel=5e-4)
 
 
 def test_readings_made_with_another_configuration_are_refused(events):

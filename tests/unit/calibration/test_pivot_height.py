@@ -109,14 +109,14 @@ def rig(tmp_path):
 def test_the_command_prints_and_stores_the_settings(rig, capsys) -> None:
     config, log = rig
     assert main(["calibrate", "height", str(config), str(log), "--radius-mm", "18"]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     stored = yaml.safe_load((config.parent / "calibration" / "height.yaml").read_text())
     called = stored["configuration"]
     before = load_any_config(config)
     assert called["arm"]["base_y_mm"] == pytest.approx(before.arm.base_y_mm - 0.3, abs=0.03)
     assert called["arm"]["base_x_mm"] == pytest.approx(before.arm.base_x_mm - 0.1, abs=0.03)
     assert 0.0 < called["pads"]["palm1"]["standoff_sd_mm"] < 0.02
-    assert f"base_y_mm: {called['arm']['base_y_mm']}" in said
+    assert f"base_y_mm: {called['arm']['base_y_mm']}" in message
     assert stored["settings_sha256"] == config_hash(before.arm.model_copy(update=called["arm"]))
     assert pivot_rig(before).pad.standoff_sd > called["pads"]["palm1"]["standoff_sd_mm"] * 1e-3
 

@@ -72,10 +72,10 @@ def test_outliers_of_a_roll_are_excluded():
     s = clean.s.copy()
     s[-5] += 2e-3
     s[-9] -= 2e-3
-    spoilt = accelerate(Roll(1, clean.phi, clean.rest, clean.t, s), READING_SD)
+    corrupted = accelerate(Roll(1, clean.phi, clean.rest, clean.t, s), READING_SD)
     unspoilt = accelerate(clean, READING_SD)
-    assert spoilt.left_out == unspoilt.left_out + 2
-    assert spoilt.a == pytest.approx(unspoilt.a, rel=0.02)
+    assert corrupted.left_out == unspoilt.left_out + 2
+    assert corrupted.a == pytest.approx(unspoilt.a, rel=0.02)
 
 
 def reported(times, places, pad=1):

@@ -222,9 +222,9 @@ def test_a_run_given_twice_is_refused(misjudged, capsys):
 def test_a_log_of_another_rig_is_refused(misjudged, tmp_path, capsys):
     config = tmp_path / "palmd.yaml"
     config.write_text(TEXT.format(length=130.0))
-    said = refused(capsys, config, misjudged[1])
-    assert said.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
-    assert f"but {config} has 130.0" in said
+    message = refused(capsys, config, misjudged[1])
+    assert message.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
+    assert f"but {config} has 130.0" in message
 
 
 def test_a_recording_with_other_values_is_refused(tmp_path, capsys):

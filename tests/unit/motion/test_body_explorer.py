@@ -114,61 +114,65 @@ def explorer(limits=LIMITS, seed=0):
 
 
 def test_moves_keep_the_limits_and_end_where_all_palms_carry_weight():
-    who, touched = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    move = who.decide(bearings(1), touched)
+    planner, touched = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    move = planner.decide(bearings(1), touched)
     assert move is not None
     assert move.start == tuple(REST_POSE.tolist())
     for t in np.linspace(0.0, move.duration, 50):
         values = LIMITS.values(move.at(t))
         assert all(bound.problem(value, value) is None for bound, value in zip(LIMITS.bounds, values, strict=True))
-    ends = who._random_ends(np.tile(REST_POSE, (COLUMNS, 1)))
+    ends = planner._random_ends(np.tile(REST_POSE, (COLUMNS, 1)))
     assert weight_shares(ends).min() > 0.8 * LEAST_SHARE
 
 
-def rooted(who, touched):
+def rooted(planner, touched):
     begin = bearings(1)
-    who._visited.append(begin.R[0])
+    planner._visited.append(begin.R[0])
     return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0, -math.inf)
 
 
 def test_touched_directions_give_no_further_gain():
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    root = rooted(who, none)
-    fresh = [each for _ in range(body_explorer.ROUNDS) for each in who._extended_randomly([root] * COLUMNS, root)]
+    planner, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(planner, none)
+    fresh = [each for _ in range(body_explorer.ROUNDS) for each in planner._extended_randomly([root] * COLUMNS, root)]
     assert max(each.gain for each in fresh) > 2 * body_explorer.NOVELTY
     assert all(each.gain == each.touched.mean() for each in fresh)
     full = dataclasses.replace(root, touched=~none)
-    again = who._extended_randomly([full] * COLUMNS, full)
+    again = planner._extended_randomly([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
     assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
 
 
 def test_the_rest_of_the_best_sequences_is_continued():
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    move = who.decide(bearings(1), none)
-    assert who._plans
-    there = who._coarse.predict(bearings(1), np.array([move.end]), np.array([move.duration])).after  # as in the tree
+    planner, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    move = planner.decide(bearings(1), none)
+    assert planner._plans
+    there = planner._coarse.predict(
+        bearings(1), np.array([move.end]), np.array([move.duration])
+    ).after  # as in the tree
     root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
-    again = who._continued(root)
-    assert {plan for plan in who._plans if plan} <= {each.moves for each in again}
+    again = planner._continued(root)
+    assert {plan for plan in planner._plans if plan} <= {each.moves for each in again}
     ends = {each.moves[-1].end: each for each in again}
     for each in again:  # each continues from where its own beginning leads
         parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
         assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
-        after = who._coarse.predict(
+        after = planner._coarse.predict(
             parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration])
         )
         np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
     elsewhere = dataclasses.replace(root, bearings=bearings(1))
-    assert who._continued(elsewhere) == []
+    assert planner._continued(elsewhere) == []
 
 
 def test_parents_are_the_best_the_farthest_turned_and_those_facing_untouched_surface():
-    who, directions = explorer(), icosphere(2)[0]
-    root = rooted(who, np.zeros(len(directions), np.bool_))
-    grown = who._extended_randomly([root] * COLUMNS, root)
-    sought = who._predictor.predict(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[0, 0, 1]
-    parents = who._parents([root, *grown], sought[None])
+    planner, directions = explorer(), icosphere(2)[0]
+    root = rooted(planner, np.zeros(len(directions), np.bool_))
+    grown = planner._extended_randomly([root] * COLUMNS, root)
+    sought = planner._predictor.predict(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[
+        0, 0, 1
+    ]
+    parents = planner._parents([root, *grown], sought[None])
     half, quarter = COLUMNS // 2, COLUMNS // 4
     ranked = sorted([root, *grown], key=lambda each: -each.gain_rate)[: body_explorer.BEST_SEQUENCES]
     assert set(map(id, parents[:half])) == set(map(id, ranked))
@@ -182,7 +186,7 @@ def test_parents_are_the_best_the_farthest_turned_and_those_facing_untouched_sur
 
     assert {faces(each) for each in parents[half + quarter :]} == {max(map(faces, [root, *grown]))}
     old = [dataclasses.replace(each, seconds=body_explorer.HORIZON_S) for each in grown]
-    assert set(map(id, who._parents([root, *old], sought[None]))) == {id(root)}
+    assert set(map(id, planner._parents([root, *old], sought[None]))) == {id(root)}
 
 
 def test_there_is_no_move_if_every_move_might_lose_the_body():
@@ -192,79 +196,81 @@ def test_there_is_no_move_if_every_move_might_lose_the_body():
 def test_a_move_that_would_throw_the_body_is_replaced_by_the_next(monkeypatch):
     rest = tuple(REST_POSE.tolist())
     thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
-    who, known = explorer(), body_explorer._exact_draws(stand()[1])
-    assert who._safest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
-    assert who._safest(bearings(1), [(thrown,)], known) == ()
+    planner, known = explorer(), body_explorer._exact_draws(stand()[1])
+    assert planner._safest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
+    assert planner._safest(bearings(1), [(thrown,)], known) == ()
     monkeypatch.setattr(body_explorer, "ERROR_RAD_S", 60.0)  # it may be spinning fast
-    assert who._safest(bearings(1), [(gentle,)], known) == ()
+    assert planner._safest(bearings(1), [(gentle,)], known) == ()
 
 
 def test_a_sequence_with_a_safe_continuation_is_preferred():
     rest, gentle = tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8)
     first, other = Move(rest, gentle, 0.5), Move(rest, (0.88, 0.82, 0.8), 0.5)
     thrown, back = Move(gentle, (1.2, 0.5, 1.0), 0.06), Move(gentle, rest, 0.5)
-    who, known = explorer(), body_explorer._exact_draws(stand()[1])
-    assert who._safe_moves(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [
+    planner, known = explorer(), body_explorer._exact_draws(stand()[1])
+    assert planner._safe_moves(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [
         1,
         2,
         1,
         0,
     ]
-    assert who._safest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
-    assert who._safest(bearings(1), [(first, thrown), (other,)], known) == (other,)
-    assert who._safest(bearings(1), [(first, thrown)], known) == (first,)
+    assert planner._safest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
+    assert planner._safest(bearings(1), [(first, thrown), (other,)], known) == (other,)
+    assert planner._safest(bearings(1), [(first, thrown)], known) == (first,)
 
 
 def test_a_move_of_the_known_body_is_safe_only_above_the_required_least_force():
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
-    who, known = explorer(), body_explorer._exact_draws(stand()[1])
+    planner, known = explorer(), body_explorer._exact_draws(stand()[1])
     end, duration = np.array([gentle.end]), np.array([gentle.duration])
-    force = who._predictor.predict(bearings(1), end, duration, rest=body_explorer.REST_S).least_force[0]
-    who._least_force = 0.98 * force
-    assert who._safe_moves(bearings(1), [(gentle,)], known) == [1]
-    who._least_force = 1.02 * force
-    assert who._safe_moves(bearings(1), [(gentle,)], known) == [0]
+    force = planner._predictor.predict(bearings(1), end, duration, rest=body_explorer.REST_S).least_force[0]
+    planner._least_force = 0.98 * force
+    assert planner._safe_moves(bearings(1), [(gentle,)], known) == [1]
+    planner._least_force = 1.02 * force
+    assert planner._safe_moves(bearings(1), [(gentle,)], known) == [0]
 
 
 def test_the_coarse_predictor_is_near_the_exact_one_and_takes_new_parameters():
-    who, p = explorer(), stand()[1].copy()
+    planner, p = explorer(), stand()[1].copy()
     ends, durations = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75]]), np.array([0.3, 0.24])
-    rough, exact = (each.predict(bearings(2, SPIN), ends, durations) for each in (who._coarse, who._predictor))
+    rough, exact = (each.predict(bearings(2, SPIN), ends, durations) for each in (planner._coarse, planner._predictor))
     turned = body_explorer._chords(exact.after.R, bearings(2).R)
     assert (body_explorer._chords(rough.after.R, exact.after.R) < 0.2 * turned).all()
     assert np.isfinite(rough.normals[0, :, 0, 0]).sum() == np.isfinite(exact.normals[0, :, 0, 0]).sum()
     p[1:] *= 0.5
-    who._predictor.set_parameters(p)
-    who.decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_))
-    np.testing.assert_array_equal(who._coarse.parameters, np.concatenate([p[: count(ROUGH_ORDER)], p[-BODY:]]))
+    planner._predictor.set_parameters(p)
+    planner.decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_))
+    np.testing.assert_array_equal(planner._coarse.parameters, np.concatenate([p[: count(ROUGH_ORDER)], p[-BODY:]]))
 
 
 def test_a_safe_move_holds_every_drawn_body():
-    who, p = explorer(), stand()[1]
+    planner, p = explorer(), stand()[1]
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     variance = np.full(6 + len(p), 1e-14)
     little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
-    assert who._safe_moves(bearings(1), [(gentle,)], little) == [1]
+    assert planner._safe_moves(bearings(1), [(gentle,)], little) == [1]
     last = np.arange(DRAWN_BODIES) == DRAWN_BODIES - 1  # one of them is enough
     wild = dataclasses.replace(little, spin=np.where(last[:, None], (60.0, 40.0, 0.0), 0.0))
-    assert who._safe_moves(bearings(1), [(gentle,)], wild) == [0]
+    assert planner._safe_moves(bearings(1), [(gentle,)], wild) == [0]
     large = dataclasses.replace(little, p=little.p * np.where(last, 4.0, 1.0)[:, None])
-    assert who._safe_moves(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
-    there, here = (each._predictor.predict(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
+    assert planner._safe_moves(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
+    there, here = (
+        each._predictor.predict(bearings(1), REST_POSE[None], np.array([0.1])) for each in (planner, explorer())
+    )
     np.testing.assert_array_equal(there.after.R, here.after.R)  # drawn bodies do not change the known one
 
 
 def test_one_drawn_body_at_most_may_spin_fast(monkeypatch):
     monkeypatch.setattr(body_explorer, "ERROR_RAD_S", 0.0)
-    who, p = explorer(), stand()[1]
+    planner, p = explorer(), stand()[1]
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     known = BodyDraws.of(p, np.diag(np.full(6 + len(p), 1e-14)), np.random.default_rng(0))
-    who._most_rad_s = 0.5  # and any drawn body up to 1.9 rad/s
+    planner._most_rad_s = 0.5  # and any drawn body up to 1.9 rad/s
     held = []
     for spinning in range(3):
         fast = np.arange(DRAWN_BODIES) >= DRAWN_BODIES - spinning
         draws = dataclasses.replace(known, spin=np.where(fast[:, None], (2.5, 0.0, 0.0), 0.0))
-        held += who._safe_moves(bearings(1), [(gentle,)], draws)
+        held += planner._safe_moves(bearings(1), [(gentle,)], draws)
     assert held == [1, 1, 0]
 
 
@@ -281,20 +287,20 @@ def test_drawn_bodies_have_the_beliefs_covariance(monkeypatch):
 
 
 def test_a_decided_move_keeps_the_spin_limit(monkeypatch):
-    who, begin, none = explorer(), bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)
-    root = rooted(who, none)
+    planner, begin, none = explorer(), bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(planner, none)
 
     def fastest(most, peak):
-        who._most_rad_s = most
+        planner._most_rad_s = most
         monkeypatch.setattr(body_explorer, "PEAK_SPIN", peak)
-        found = who._extended_randomly([root] * COLUMNS, root)
+        found = planner._extended_randomly([root] * COLUMNS, root)
         return max(body_explorer._chords(each.bearings.R, begin.R)[0] / (each.seconds + DECISION_S) for each in found)
 
     assert fastest(math.inf, 1.0) > 0.6
     assert fastest(0.3, 1e3) < 0.3
     monkeypatch.setattr(body_explorer, "PEAK_SPIN", 2.0)
-    move = who.decide(begin, none, most_rad_s=0.3)
-    assert who._predictor.predict(begin, np.array([move.end]), np.array([move.duration])).spin[0] < 0.6
+    move = planner.decide(begin, none, most_rad_s=0.3)
+    assert planner._predictor.predict(begin, np.array([move.end]), np.array([move.duration])).spin[0] < 0.6
 
 
 def test_a_move_under_way_is_predicted_to_its_end_and_the_rest_after_it():

@@ -22,7 +22,7 @@ def rad(*degrees: float) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize(
-    ("phi1_deg", "phi2_deg", "said"),
+    ("phi1_deg", "phi2_deg", "message"),
     [
         (45, 90, []),
         (6, 35, []),
@@ -42,8 +42,8 @@ def rad(*degrees: float) -> tuple[float, ...]:
         (45, 34.5, ["phi2 falls to 34.5°, the limit is 35°"]),
     ],
 )
-def test_violations_name_value_and_limit(phi1_deg: float, phi2_deg: float, said: list[str]) -> None:
-    assert LIMITS.violations(tuple(rad(phi1_deg, phi2_deg))) == said
+def test_violations_name_value_and_limit(phi1_deg: float, phi2_deg: float, message: list[str]) -> None:
+    assert LIMITS.violations(tuple(rad(phi1_deg, phi2_deg))) == message
 
 
 @pytest.mark.parametrize("kappa", [13.3, -10.0])
@@ -84,9 +84,9 @@ def test_the_arms_workspace_is_a_limit() -> None:
     workspace = Workspace(GEOMETRY, 0.1, 0.26, -0.2, 0.2, 0.5, 5.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=workspace)
     assert limits.violations(tuple(rad(45, 90))) == []  # x = 250.3 mm
-    (said,) = limits.violations(tuple(rad(45, 80)))
-    assert said.startswith("the arm's x reaches 26")
-    assert said.endswith(", the limit is 260 mm")
+    (message,) = limits.violations(tuple(rad(45, 80)))
+    assert message.startswith("the arm's x reaches 26")
+    assert message.endswith(", the limit is 260 mm")
 
 
 def test_clamp_leaves_an_allowed_step_unchanged() -> None:
@@ -130,8 +130,8 @@ def test_a_cradle_may_point_downwards_at_its_hinge_like_its_mirror_image() -> No
         assert lowest == pytest.approx(-0.3 * 0.0555 * each)
     cradle = MotionLimits.from_config(open_wide, pad_length=0.0555, curvatures=(kappa, kappa))
     assert cradle.violations(rad(-12, 120)) == []
-    (said,) = cradle.violations(rad(-14, 120))
-    assert said.startswith("phi1 falls to -14°, palm 1 points downwards below -12.6")
+    (message,) = cradle.violations(rad(-14, 120))
+    assert message.startswith("phi1 falls to -14°, palm 1 points downwards below -12.6")
     assert math.pi - cradle.top == pytest.approx(cradle.bounds[0].low + math.radians(8.0))
 
 
@@ -152,14 +152,14 @@ def test_a_flat_palm_pointing_downwards_is_named_unless_its_own_limit_excludes_i
         MotionLimits.from_config(LimitsConfig(phi1_deg=(low, 150.0)), pad_length=0.0555, curvatures=(0.0, 0.0))
         for low in (-30.0, 0.0)
     )
-    (said,) = wide.violations(rad(-5, 120))
-    assert said.startswith("phi1 falls to -5°, palm 1 points downwards below")
-    (said,) = level.violations(rad(-5, 120))
-    assert said.startswith("phi1 falls to -5°")
-    assert "downwards" not in said
+    (message,) = wide.violations(rad(-5, 120))
+    assert message.startswith("phi1 falls to -5°, palm 1 points downwards below")
+    (message,) = level.violations(rad(-5, 120))
+    assert message.startswith("phi1 falls to -5°")
+    assert "downwards" not in message
 
 
 def test_a_dome_that_would_point_downwards_is_named() -> None:
     dome = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=(-4.0, 0.0))
-    (said,) = dome.violations(rad(8, 90))
-    assert said.startswith("phi1 falls to 8°, palm 1 is a dome")
+    (message,) = dome.violations(rad(8, 90))
+    assert message.startswith("phi1 falls to 8°, palm 1 is a dome")

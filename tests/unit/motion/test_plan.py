@@ -74,11 +74,11 @@ def test_rounds_without_a_first_move_continue_from_their_end() -> None:
     for number in range(1, 4):
         joint = sum(done.duration for done in trajectory.rounds[:number])
         assert degrees(trajectory, joint - 1e-9) == pytest.approx(degrees(trajectory, joint + 1e-9), abs=1e-6)
-    (said,) = refused(*there_and_half_back, repeat="forever")
-    assert said.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
+    (message,) = refused(*there_and_half_back, repeat="forever")
+    assert message.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
     # φ2 leaves its limit of 155° in the course of 80 rounds.
-    said = refused(*there_and_half_back, repeat=80)
-    assert any("phi2 reaches" in each or "phi12 = phi1 + phi2" in each for each in said)
+    message = refused(*there_and_half_back, repeat=80)
+    assert any("phi2 reaches" in each or "phi12 = phi1 + phi2" in each for each in message)
 
 
 def test_a_plan_that_repeats_forever_is_endless_and_periodic() -> None:
@@ -120,7 +120,7 @@ def test_dither_is_added_to_the_whole_plan_and_begins_and_ends_at_rest() -> None
 
 
 @pytest.mark.parametrize(
-    ("segment", "said"),
+    ("segment", "message"),
     [
         (
             {"move": {"phi1_deg": 163, "phi2_deg": 35}, "duration_s": 9},
@@ -163,9 +163,9 @@ def test_dither_is_added_to_the_whole_plan_and_begins_and_ends_at_rest() -> None
         ),
     ],
 )
-def test_refusals_name_segment_value_and_limit(segment: dict[str, Any], said: str) -> None:
+def test_refusals_name_segment_value_and_limit(segment: dict[str, Any], message: str) -> None:
     lines = refused(HOME_MOVE, segment)
-    assert any(line.startswith(f"segments.1: {said}") for line in lines), lines
+    assert any(line.startswith(f"segments.1: {message}") for line in lines), lines
 
 
 def test_a_rate_above_the_limit_is_refused() -> None:
@@ -224,8 +224,8 @@ def test_the_way_back_of_a_repetition_is_checked() -> None:
 def test_dither_counts_against_the_limits() -> None:
     sine = {"sine": {"phi1_deg": 15}, "frequency_hz": 1.0, "duration_s": 10}  # 592°/s²
     made(HOME_MOVE, sine)
-    (said,) = refused(HOME_MOVE, sine, dither={"amplitude_deg": 0.1, "frequency_hz": 10})  # 395°/s² more
-    assert said.startswith("segments.1: the acceleration of phi1 reaches 10")
+    (message,) = refused(HOME_MOVE, sine, dither={"amplitude_deg": 0.1, "frequency_hz": 10})  # 395°/s² more
+    assert message.startswith("segments.1: the acceleration of phi1 reaches 10")
     lines = refused(HOME_MOVE, {"hold_s": 1.0}, dither={"amplitude_deg": 0.3, "frequency_hz": 10})
     assert lines[0].startswith("dither: takes 132% of the limit of the acceleration of phi1")
 
@@ -238,8 +238,8 @@ def test_the_arms_workspace_and_speed_are_limits_when_known() -> None:
     assert "the limit is 50 mm/s; duration_s must be 1.67 or more" in lines[0]
     small = Workspace(GEOMETRY, 0.0, 0.26, -0.3, 0.3, speed=1.0, acceleration=10.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=small)
-    (said,) = refused(HOME_MOVE, {"move": {"phi2_deg": 80}, "duration_s": 3.0}, limits=limits)
-    assert said.startswith("segments.1: the arm's x reaches 26")
+    (message,) = refused(HOME_MOVE, {"move": {"phi2_deg": 80}, "duration_s": 3.0}, limits=limits)
+    assert message.startswith("segments.1: the arm's x reaches 26")
 
 
 def test_an_exploration_begins_at_the_plans_end_and_is_endless() -> None:

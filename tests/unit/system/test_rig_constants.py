@@ -38,10 +38,10 @@ UNCERTAIN = [constant for constant, sd in zip(RIG_TABLE, PRIORS, strict=True) if
 @pytest.mark.parametrize("constant", UNCERTAIN, ids=lambda constant: constant.name)
 def test_an_error_is_reported_only_if_the_readings_have_determined_it(constant):
     assert reported_error(constant.name, 3.9, 0.1) == reported_error(constant.name, 50.0, 0.65) == []
-    (said,) = reported_error(constant.name, -4.1, 0.55)
-    assert said.startswith(constant.subject)
-    assert said.endswith(f"{constant.negative_error_text or constant.error_text}: {constant.remedy}")
-    assert ("seems -" in said) == (not constant.negative_error_text)
+    (message,) = reported_error(constant.name, -4.1, 0.55)
+    assert message.startswith(constant.subject)
+    assert message.endswith(f"{constant.negative_error_text or constant.error_text}: {constant.remedy}")
+    assert ("seems -" in message) == (not constant.negative_error_text)
 
 
 def test_an_exactly_known_constant_is_never_reported():
@@ -53,8 +53,8 @@ def test_an_exactly_known_constant_is_never_reported():
 
 
 def test_a_contradicted_constant_is_reported_however_large_its_sd():
-    (said,) = reported_error("pad1_scale", 2.0, 10.0, contradicted=True)
-    assert said.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
+    (message,) = reported_error("pad1_scale", 2.0, 10.0, contradicted=True)
+    assert message.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
 
 
 def test_an_error_is_reported_with_the_digits_that_its_sd_supports():
@@ -64,5 +64,5 @@ def test_an_error_is_reported_with_the_digits_that_its_sd_supports():
     assert reported_error("pad1_lag_s", -7.0, 0.2) == [
         "pad 1's time seems 2.8 ± 0.4 ms early: check its adapter's latency timer"
     ]
-    (said,) = reported_error("friction_asymmetry", 30.0, 0.04)
-    assert said.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")
+    (message,) = reported_error("friction_asymmetry", 30.0, 0.04)
+    assert message.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")
