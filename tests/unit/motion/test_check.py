@@ -129,7 +129,7 @@ def test_keys_that_only_the_service_may_read_are_no_error() -> None:
             assert check_files([config]) == []
 
 
-def test_an_exploration_that_is_not_the_last_segment_is_reported_with_its_place(tmp_path: Path) -> None:
+def test_invalid_uses_of_an_exploration_are_reported_with_their_place(tmp_path: Path) -> None:
     (plan,) = write(tmp_path, rock=ROCK)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
     assert load_trajectory(plan, limits).labels == ("move", "rate", "explore")

@@ -57,7 +57,7 @@ def test_a_similar_object_that_is_not_stored_is_not_identified(kind, seed):
     assert found.decision == NONE_OF_THESE
 
 
-def test_before_the_first_contact_none_has_its_prior_probability():
+def test_before_the_twins_start_none_has_its_prior_probability():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines)
