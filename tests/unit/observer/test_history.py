@@ -14,7 +14,7 @@ def bank():
     return ShapeFilters(RigDescription(), 8).bank
 
 
-def lived(bank, count):
+def history_of_events(bank, count):
     """A history of events at 1, 2, … s; before each event all states equal its number."""
     history = History([bank])
     history.use(bank)
@@ -29,26 +29,26 @@ def lived(bank, count):
 
 
 def test_later_events_are_undone_and_returned_in_order(bank):
-    undone = lived(bank, 5).undo(2.5, bank)
+    undone = history_of_events(bank, 5).undo(2.5, bank)
     assert [entry.event.t_sample for entry in undone] == [3.0, 4.0, 5.0]
     assert np.all(bank.x == 3.0)
 
 
 def test_an_undone_event_is_gone(bank):
-    history = lived(bank, 5)
+    history = history_of_events(bank, 5)
     history.undo(2.5, bank)
     assert history.undo(4.5, bank) is None
 
 
 def test_the_number_of_events_that_can_be_undone_is_limited(bank):
-    history = lived(bank, EVENTS + 3)
+    history = history_of_events(bank, EVENTS + 3)
     assert history.undo(2.5, bank) is None
     assert np.all(np.isnan(bank.x)), "a too late event changes nothing"
     assert len(history.undo(3.5, bank)) == EVENTS
 
 
 def test_a_cleared_history_cannot_be_undone(bank):
-    history = lived(bank, 5)
+    history = history_of_events(bank, 5)
     history.clear()
     assert history.undo(2.5, bank) is None
     assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "all snapshots are reusable"
