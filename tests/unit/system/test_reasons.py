@@ -1,4 +1,4 @@
-"""Reasons have codes that programs may rely on."""
+"""Reasons have stable codes for programs."""
 
 import pytest
 
@@ -17,7 +17,7 @@ from palmd.system.reasons import CODES, MEANINGS, code_of
         ("", ""),
     ],
 )
-def test_a_reason_has_a_code_without_its_values(words, code):
+def test_a_reasons_code_leaves_out_its_values(words, code):
     assert code_of(words) == code
 
 
