@@ -12,6 +12,7 @@ import keys_of_models
 import layouts
 import shell_files
 
+from palmd.aliases import ALIASES
 from palmd.cli.table import COMMANDS as TABLE
 from palmd.cli.table import Command, load_module, parser_of
 from palmd.config.plans import ExploreSpec, HoldSpec
@@ -21,6 +22,7 @@ from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
 from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
+from palmd.system.reasons import MEANINGS
 from palmd.topics import TOPICS
 from palmd.yamlfile import load_config
 
@@ -66,6 +68,8 @@ def messages() -> str:
     for topic in TOPICS:
         parts.append(f"\n## `{topic.name}` ({topic.rate})\n\n")
         parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
+    parts.append("\n## Reasons\n\nCodes in `invalid_reasons`, of all systems.\n\n")
+    parts.append(table(("code", "meaning"), [(f"`{code}`", meaning) for code, meaning in MEANINGS.items()]))
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
         "`{id, ok, error?, result?}`.\nA refused command has moved nothing. `from`, optional printable text, names the "
@@ -144,6 +148,21 @@ def fault_injection() -> str:
     return "# Fault injection in the emulated rig\n\n" + table(("fault", "what it does"), rows)
 
 
+def former_names() -> str:
+    rows = [(_code(each.where), f"`{each.standard}`", f"`{each.former}`", each.reason) for each in ALIASES]
+    return (
+        "# Former names\n\nThese names have changed. Until 2.0 the former name works too: palmd publishes and writes "
+        "both, accepts either,\nand reads recordings that have only the former one.\n\n"
+        + table(("where", "name", "former name", "reason"), rows)
+        + "\nFormer commands: [promises](promises.md). Keys of configurations, plans and event logs have not changed.\n"
+    )
+
+
+def _code(where: str) -> str:
+    """A topic as code; a place that is described in words stays as it is."""
+    return where if " " in where or "`" in where else f"`{where}`"
+
+
 def configuration() -> str:
     parts = [keys_of_models.CONFIGURATION]
     single = []
@@ -180,7 +199,8 @@ PAGES = {
     "docs/reference/faults.md": faults,
     "docs/reference/messages.md": messages,
     "docs/reference/lifecycle.md": states,
-    "docs/reference/mischief.md": fault_injection,
+    "docs/reference/fault-injection.md": fault_injection,
+    "docs/reference/former-names.md": former_names,
 }
 LAYOUTS = {"config/plotjuggler.xml": layouts.plotjuggler, "config/foxglove.json": layouts.foxglove}
 FIGURES = {

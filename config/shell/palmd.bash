@@ -13,7 +13,7 @@ _shtab_palmd_keys_new_subparsers=(server client)
 _shtab_palmd_keys_subparsers=(new allow revoke list)
 _shtab_palmd_subparsers=(demo run ctl jog top view record runs replay why report export estimate reconstruct recognise calibrate check init doctor install keys)
 
-_shtab_palmd_demo_rig_option_strings=(-h --help --seed --kind --physics --marble --cylinder --roller --by-hand --mischief --uinput --ports --sockets)
+_shtab_palmd_demo_rig_option_strings=(-h --help --seed --kind --physics --marble --cylinder --roller --by-hand --inject --uinput --ports --sockets)
 _shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --physics --no-record --perfect --system --rig --config)
 _shtab_palmd_run_option_strings=(-h --help --no-record)
 _shtab_palmd_ctl_status_option_strings=(-h --help --address --config --key --json)

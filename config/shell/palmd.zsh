@@ -420,7 +420,7 @@ _shtab_palmd_demo_rig_options=(
   "*--cylinder[the object is this solid cylinder\; repeat for the ones it is exchanged for]:RADIUS_MM,MASS_G:"
   "--roller[it rolls down the gentler palm\; there is no other object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[inject a fault\; may be repeated\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "*--inject[inject a fault\; may be repeated\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
   "--uinput[emulate input devices by the kernel\'s uinput\; a desktop receives their events until palmd opens them]"
   "--ports[folder of its ports, created if needed\; default\: a temporary one]:FOLDER:_files"
   "--sockets[serial ports are UNIX sockets, which a busy machine does not delay]"

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, T
 import numpy as np
 import numpy.typing as npt
 
+from palmd.aliases import with_former_names
 from palmd.events import (
     Estimate,
     Event,
@@ -34,7 +35,7 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.jsonvalues import or_none
-from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, TICK, UNITS, Topic
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, RIG, SCHEMA, STATE, TICK, UNITS, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
 from palmd.system.reasons import code_of
@@ -219,7 +220,7 @@ class AnswerCodec(Generic[Answer]):
         """
         columns = [(each.name, each.source, each.kind == "numbers") for each in topic.quantities if each.source]
         self._columns = sorted(columns, key=itemgetter(2)) if plain_first else columns
-        self._construct, self._absent, self._vectors = construct, absent, vectors
+        self._topic, self._construct, self._absent, self._vectors = topic.name, construct, absent, vectors
 
     def fields_of(self, t: float, answer: Answer) -> Fields:
         """Fields of an answer received in the tick at `t` (s)."""
@@ -227,7 +228,7 @@ class AnswerCodec(Generic[Answer]):
         for name, source, is_array in self._columns:
             value = getattr(answer, source)
             fields[name] = self._listed(name, value) if is_array else value
-        return fields
+        return with_former_names(self._topic, fields)
 
     def answer_of(self, fields: Mapping[str, Any]) -> Answer:
         """The answer that `fields_of` was given, bit for bit; raises KeyError, ValueError for invalid fields."""
@@ -288,12 +289,13 @@ def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradi
 
     Their estimates, posterior and prior standard deviations, and by how many σ they contradict the description.
     """
-    return {
+    fields = {
         **dict(zip(RIG_NAMES, values.tolist(), strict=True)),
         "sd": dict(zip(RIG_NAMES, sds.tolist(), strict=True)),
         "prior_sd": priors.tolist(),
-        "off": describe_rig_errors(values, sds, priors, contradicted),
+        "contradictions": describe_rig_errors(values, sds, priors, contradicted),
     }
+    return with_former_names(RIG.name, fields)
 
 
 class PadView(NamedTuple):
@@ -397,14 +399,14 @@ def state_fields(
 ) -> Fields:
     """`palm/state`; `cause` led to the state `since_s` seconds ago; `control` is the client in control."""
     faults = tuple(faults)
-    return {
+    fields = {
         "state": state,
         "faults": [fault.code for fault in faults],
         "severities": [str(fault.severity) for fault in faults],
         "hints": [fault.hint for fault in faults],
         "texts": [fault.text for fault in faults],
         "cause": cause,
-        "wish": requested_state,
+        "requested_state": requested_state,
         "control": control,
         "unattended": unattended,
         "since_s": since_s,
@@ -416,6 +418,7 @@ def state_fields(
         "reachable": explored.reachable,
         "reason": explored.reason,
     }
+    return with_former_names(STATE.name, fields)
 
 
 LogKind = Literal["palmd", "state", "fault", "command", "control", "plan", "exploration", "object", "rig", "recorder"]

@@ -98,7 +98,7 @@ PIVOT_ANSWER = Topic(
     (
         TICK,
         Quantity("t_s", "number", "s", "time of the estimate, CLOCK_MONOTONIC", source="t"),
-        Quantity("claimed", "bool", "", "whether the estimate is accepted", source="accepted"),
+        Quantity("accepted", "bool", "", "whether the estimate is accepted", source="accepted"),
         Quantity("reason", "text", "", "why it is rejected, in words; empty if it is accepted", source="reason"),
         Quantity("psi_rad", "number", "rad", "orientation of the object at that time", source="psi"),
         Quantity(
@@ -112,7 +112,7 @@ PIVOT_ANSWER = Topic(
         Quantity("hP_sd_m", "numbers", "m", "1σ of the outline, for each degree of its normals", source="h_sd"),
         Quantity("touched", "numbers", "", "1 where it was touched, else 0, for each degree", source="touched"),
     ),
-)  # fmt: skip
+).with_former_names()  # fmt: skip
 PIVOT_INFO = Topic(
     "palm/pivot_info",
     1.0,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from palmd.aliases import aliases_of
 from palmd.events import DECIDED
 from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
 from palmd.system.naming import PAD_NUMBERS
@@ -165,6 +166,14 @@ class Topic:
                 return quantity
         raise KeyError(f"{self.name} has no {name}")
 
+    def with_former_names(self) -> Topic:
+        """The same with a quantity for each former name of one."""
+        rows = (
+            replace(self[standard], name=former, meaning=f"former name of `{standard}`, until 2.0", source="")
+            for _, standard, former, _ in aliases_of(self.name)
+        )
+        return replace(self, quantities=(*self.quantities, *rows))
+
 
 def drawn(topic: Topic, *, tab: Tab | None = None, chart: str | None = None) -> Iterator[Quantity]:
     """The quantities of a topic that are drawn, chart by chart: all, those of a tab, or those of a chart."""
@@ -310,9 +319,7 @@ STATE = Topic(
         Quantity("hints", "texts", "", "what to do, one for each fault"),
         Quantity("texts", "texts", "", "description, one for each fault"),
         Quantity("cause", "text", "", "what caused the state, in words; empty if it has not changed since the start"),
-        Quantity(
-            "wish", "text", "", "requested state: hold or stop, from its request until arm, start or reset; else empty"
-        ),
+        Quantity("requested_state", "text", "", "hold or stop, from its request until arm, start or reset; else empty"),
         Quantity("control", "text", "", "the client that has control of the rig; empty for none"),
         Quantity(
             "unattended", "bool", "", "whether a plan moves the palms while no client with a declared lease has control"
@@ -331,7 +338,7 @@ STATE = Topic(
         Quantity("reachable", "number", "", "reachable fraction of all normals; NaN while unknown"),
         Quantity("reason", "text", "", "why it waits or has ended, in words; empty while it proceeds"),
     ),
-)
+).with_former_names()
 LOOP = Topic(
     "palm/loop",
     1.0,
@@ -477,11 +484,10 @@ RIG = Topic(
             "SI",
             "prior standard deviation of each by the configuration, in the order of these rows",
         ),
-        Quantity(
-            "off", "texts", "", "in words: errors of the rig that the readings determine beyond doubt, and what to do"
-        ),
+        Quantity("contradictions", "texts", "",
+                 "in words: errors of the rig that the readings determine beyond doubt, and what to do"),
     ),
-)
+).with_former_names()  # fmt: skip
 LOG_ENTRIES = 100
 LOG = Topic(
     "palm/log",

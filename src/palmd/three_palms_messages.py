@@ -68,7 +68,7 @@ def _answer_from_flat(**values: Any) -> BodyAnswer:
     return BodyAnswer(**values | square)
 
 
-ANSWERS = AnswerCodec(PALM3_ANSWER, _answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
+ANSWERS = AnswerCodec(PALM3_ANSWER, _answer_from_flat, absent={"unexplained_sd_m": 0.0}, plain_first=True, vectors=True)
 answer_fields, answer_of = ANSWERS.fields_of, ANSWERS.answer_of
 """`palm3/answer`: fields of an answer, and the answer of fields."""
 

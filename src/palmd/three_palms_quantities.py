@@ -125,8 +125,8 @@ PALM3_ANSWER = Topic(
     (
         TICK,
         Quantity("t_s", "number", "s", "time of the estimate, CLOCK_MONOTONIC", source="t"),
-        Quantity("begun_s", "number", "s", "start of the record it is estimated from", source="record_start"),
-        Quantity("claimed", "bool", "", "whether the estimate is accepted", source="accepted"),
+        Quantity("record_start_s", "number", "s", "start of the record it is estimated from", source="record_start"),
+        Quantity("accepted", "bool", "", "whether the estimate is accepted", source="accepted"),
         Quantity("reason", "text", "", "why it is rejected, in words; empty if it is accepted", source="reason"),
         Quantity("hypotheses", "number", "", "number of motions that explain the readings so far", source="hypotheses"),
         Quantity("R", "numbers", "", "rotation from body to world at that time, matrix row by row", source="R"),
@@ -147,11 +147,10 @@ PALM3_ANSWER = Topic(
         ),
         Quantity("mass_kg", "number", "kg", "mass of the object; none without force readings", source="mass"),
         Quantity("mass_sd_kg", "number", "kg", "its 1σ", source="mass_sd"),
-        Quantity(
-            "rough_m", "number", "m", "1σ of the readings' errors beyond their noise", source="unexplained_sd"
-        ),
+        Quantity("unexplained_sd_m", "number", "m", "1σ of the readings' errors beyond their noise",
+                 source="unexplained_sd"),
     ),
-)  # fmt: skip
+).with_former_names()  # fmt: skip
 PALM3_INFO = Topic(
     "palm3/info",
     1.0,

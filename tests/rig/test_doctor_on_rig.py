@@ -49,12 +49,12 @@ def test_without_permission_no_tracking_is_requested(rig):
 
 
 def test_an_arm_that_is_not_ready_is_not_examined(rig):
-    rig.hand.do("mischief", name="estop")
+    rig.hand.do("inject", name="estop")
     try:
         done = doctor("--arm-conformance", rig.config, "--yes")
         listed = doctor(rig.config).stdout
     finally:
-        rig.hand.do("calm", name="estop")
+        rig.hand.do("clear", name="estop")
     assert done.returncode == 3
     assert "ESTOP" in done.stderr
     assert "checks passed" not in done.stdout
@@ -62,11 +62,11 @@ def test_an_arm_that_is_not_ready_is_not_examined(rig):
 
 
 def test_a_late_arm_does_not_conform(rig):
-    rig.hand.do("mischief", name="late", port="arm", strength=0.045)
+    rig.hand.do("inject", name="late", port="arm", strength=0.045)
     try:
         done = doctor("--arm-conformance", rig.config, "--yes")
     finally:
-        rig.hand.do("calm", name="late", port="arm")
+        rig.hand.do("clear", name="late", port="arm")
     assert done.returncode == 3
     assert "FAIL" in done.stdout or "within" in done.stdout
 

@@ -89,7 +89,7 @@ def test_the_daemon_reacts_as_the_table_says(bench, case):
     bench.run_plan()
     bench.forget()
     for port in case.ports:
-        bench.ask_rig("mischief", name=case.name, port=port, strength=case.strength)
+        bench.ask_rig("inject", name=case.name, port=port, strength=case.strength)
     bench.until_faults(*case.expected)
     if case.state != "tracking":
         bench.until_state(case.state)
@@ -98,7 +98,7 @@ def test_the_daemon_reacts_as_the_table_says(bench, case):
     grave = {code for code, severity in bench.heard.faults.items() if severity in GRAVE}
     assert grave <= {*case.expected, *case.may} or bench.stalled()
 
-    bench.ask_rig("calm", name=case.name)
+    bench.ask_rig("clear", name=case.name)
     passing = [code for code in case.expected if TABLE[code].latch == "no"]
     bench.until_gone(*passing, *both("untouched"))
     if bench.heard.state == "fault":
@@ -138,7 +138,7 @@ def test_silence_is_detected_in_time(bench, port, code, promised_s):
     bench.run_plan()
     bench.forget()
     before = bench.truth()["mono_ns"] * 1e-9
-    bench.ask_rig("mischief", name="mute", port=port, for_s=0.5)
+    bench.ask_rig("inject", name="mute", port=port, for_s=0.5)
     bench.until_faults(code)
     assert bench.heard.since[code] - before < 3 * promised_s
     bench.until_gone(code) if port != "arm" else bench.ready()
@@ -149,7 +149,7 @@ def test_motion_resumes_smoothly_after_a_short_silence_of_the_arm(bench):
     bench.run_plan()
     bench.forget()
     for _ in range(SILENCES):
-        bench.ask_rig("mischief", name="mute", port="arm", for_s=0.09)
+        bench.ask_rig("inject", name="mute", port="arm", for_s=0.09)
         bench.ticks(40)
         bench.moving()
     assert bench.heard.faults.get("arm-held") == "degrade"
@@ -160,17 +160,17 @@ def test_motion_resumes_smoothly_after_a_short_silence_of_the_arm(bench):
 def test_motion_may_continue_while_a_pad_is_constantly_late(bench):
     """Only the change of the delay leaves a gap in the pad's data; a constant delay does not hold the motion."""
     bench.run_plan()
-    bench.ask_rig("mischief", name="late", port="pad1", strength=0.2)
+    bench.ask_rig("inject", name="late", port="pad1", strength=0.2)
     bench.until_state("hold")
     bench.until_gone("pad1-silent")
     bench.client.do("start")
     bench.moving()
-    bench.ask_rig("calm", name="late")
+    bench.ask_rig("clear", name="late")
 
 
 def test_an_emergency_stop_cannot_be_reset_by_a_client(bench):
     bench.run_plan()
-    bench.ask_rig("mischief", name="estop")
+    bench.ask_rig("inject", name="estop")
     bench.until_state("fault")
     refused = bench.client.ask("reset")
     assert (refused["ok"], "release it at the arm" in refused["error"]) == (False, True)
@@ -178,7 +178,7 @@ def test_an_emergency_stop_cannot_be_reset_by_a_client(bench):
     assert (status["state"], status["arm_state"]) == ("fault", "X")
     assert "-621" in status["arm_error"] or "emergency" in status["arm_error"].lower()
     assert (bench.rig_status()["arm_state"], bench.heard.state) == ("X", "fault")
-    bench.ask_rig("calm", name="estop")
+    bench.ask_rig("clear", name="estop")
     bench.ready()
     bench.judge()
 
@@ -186,7 +186,7 @@ def test_an_emergency_stop_cannot_be_reset_by_a_client(bench):
 def test_exchanging_the_object_begins_a_new_one(bench):
     bench.run_plan()
     before = bench.heard.latest["palm/estimate"]["object"]
-    bench.ask_rig("mischief", name="swap")
+    bench.ask_rig("inject", name="swap")
     bench.until_state("hold")
     bench.until(lambda heard: heard.latest["palm/estimate"]["object"] > before, "a new object")
 
@@ -244,7 +244,7 @@ def test_a_terminated_daemon_stops_the_arm(light_bench):
 
     bench.start_daemon(**LEAST_WORK)
     bench.run_plan()
-    bench.ask_rig("mischief", name="mute", port="arm")
+    bench.ask_rig("inject", name="mute", port="arm")
     t = bench.truth()["mono_ns"]
     assert bench.daemon.end(signal.SIGTERM) == 3  # the arm's standstill is not confirmed
     assert (bench.truth()["mono_ns"] - t) * 1e-9 < 2 * 2.0

@@ -105,23 +105,28 @@ def test_a_paused_rig_publishes_the_duration(rig):
 def test_the_control_socket_injects_faults_and_rejects_invalid_requests(rig):
     with rig("--seed", "5", "--kind", "nominal") as (_, found), Client(found["control"]) as client:
         assert client.do("status")["kind"] == "nominal"
-        client.do("mischief", name="mute", port="pad1", for_s=60.0)
-        assert client.do("status")["mischief"] == ["mute@pad1"]
-        client.do("calm", name="mute")
-        for cmd, args in (("mischief", {"name": "nonsense"}), ("mischief", {"often": 1}), ("dance", {}), ("calm", {})):
+        client.do("inject", name="mute", port="pad1", for_s=60.0)
+        assert client.do("status")["injected_faults"] == ["mute@pad1"]
+        client.do("clear", name="mute")
+        for cmd, args in (("inject", {"name": "nonsense"}), ("inject", {"often": 1}), ("dance", {}), ("clear", {})):
             refused = client.ask(cmd, **args)
             assert not refused["ok"]
             assert refused["error"]
         for junk in (b"", b"\xc1", b"\x93\x01\x02\x03", os.urandom(200), msgpack.packb({"cmd": [1]})):
             client.socket.send(junk)
             assert not client.reply()["ok"]
-        assert "estop" in client.do("tricks")
+        assert "estop" in client.do("faults")
+        client.do("mischief", name="mute", port="pad1", for_s=60.0)  # former names, until 2.0
+        status = client.do("status")
+        assert status["mischief"] == status["injected_faults"] == ["mute@pad1"]
+        client.do("calm", name="mute")
+        assert client.do("tricks") == client.do("faults")
         client.do("new_object")
         assert client.do("status")["object"] == 2
 
 
 def test_unplugging_moves_the_port(rig):
-    with rig("--mischief", "unplug@pad2,after=0.5,for=0.5") as (_, found):
+    with rig("--inject", "unplug@pad2,after=0.5,for=0.5") as (_, found):
         before = Path(found["pad2"]).resolve()
         with (
             serial.Serial(found["pad2"], 9600, timeout=0) as pad,

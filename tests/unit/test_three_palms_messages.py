@@ -47,7 +47,7 @@ def test_an_answer_comes_back_bit_for_bit():
     for name in BodyAnswer.__slots__:
         assert np.array_equal(getattr(back, name), getattr(told, name)), name
     assert not validate(PALM3_ANSWER, stamped(fields))
-    del fields["rough_m"]  # as recordings were
+    del fields["unexplained_sd_m"]  # as recordings were
     assert says.answer_of(fields).unexplained_sd == 0.0
 
 

@@ -20,8 +20,10 @@ STUDIES = {
     "explore": "unknown objects explored on the emulated rig, compared with random moves",
     "pivot": "objects in a pivoting grasp, offline and live",
     "space": "bodies between three palms in space, offline, live and explored",
+    "paper": "the runs behind the figures of CMU-CS-01-107, by its method and by palmd's",
     "things": "test objects such as dice, nuts, coins and blocks: how often an estimate is wrong",
     "engines": "logs and contact forces of independent physics engines",
+    "engines-daemon": "the whole daemon in closed loop with MuJoCo as the emulated rig's plant",
     "faults": "each fault provoked on the emulated rig: reaction and time to standstill",
     "simulate": "daemon and rig in virtual time with random faults: invariants that must hold",
     "false-alarms": "ordinary operation in virtual time: which guard holds or stops it",
@@ -29,7 +31,7 @@ STUDIES = {
 }
 """Names and topics. A study's module has `add_arguments(parser)`, and a `STUDY` or `conduct(arguments) -> int`."""
 
-MODULES = {"engines": "engines.study", "explore": "exploring"}
+MODULES = {"engines": "engines.study", "engines-daemon": "engines.daemon", "explore": "exploring"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -156,7 +156,7 @@ class Stand(Stack):
         match act:
             case RowFault():
                 fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                t = float(self.ask_rig("mischief", **fields)["t_on_s"])
+                t = float(self.ask_rig("inject", **fields)["t_on_s"])
             case Pause():
                 number = self._number(act.process)
                 os.kill(number, signal.SIGSTOP)
@@ -190,7 +190,7 @@ class Stand(Stack):
         """End the cause and restart ended processes; returns what went wrong."""
         match act:
             case RowFault() if act.for_s is None:
-                self.ask_rig("calm", name=act.name, port=act.port)
+                self.ask_rig("clear", name=act.name, port=act.port)
             case Kill(process="daemon"):
                 self.client.ask("reset")  # the controller's fault, which the new daemon found
             case Kill(process="recorder"):

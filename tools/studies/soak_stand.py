@@ -170,7 +170,7 @@ class SoakStand(Stack):
         match act:
             case InjectedFault():
                 how = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                self.ask_rig("mischief", **how)
+                self.ask_rig("inject", **how)
             case OperatorCommand(command="plan"):
                 self._change_plan()
                 self._t_resume = time.monotonic() + act.for_s

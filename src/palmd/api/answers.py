@@ -55,9 +55,9 @@ class SmoothedRun:
     missing. coverage: fraction of the normals touched. chi2: per reading. trajectory: `t_s psi_rad omega0_rad_s r1_m
     r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg: mass weighed while the object was at rest, which needs
     no outline. `…_sd…`: standard deviation. rig: the rig constants that the run determines, `{name: {value, sd}}`,
-    empty if it determines none. looks_like: the simple shape that the outline matches, with its sizes, empty if it
-    matches none or cannot be classified. surface: of a body between three palms, instead of an outline. told: all
-    results under the names of `palmd reconstruct`; for another `system` than two palms, the results without a field
+    empty if it determines none. shape_class: the simple shape that the outline matches, with its sizes, empty if it
+    matches none or cannot be classified. surface: of a body between three palms, instead of an outline. results: all
+    of them under the names of `palmd reconstruct`; for another `system` than two palms, the results without a field
     here.
     """
 
@@ -77,16 +77,26 @@ class SmoothedRun:
     mass_rest_kg: float
     mass_rest_sd_kg: float
     rig: Mapping[str, Mapping[str, float]]
-    looks_like: str
+    shape_class: str
     surface: Mesh | None
     seconds: float
     system: str
-    told: Mapping[str, Any]
+    results: Mapping[str, Any]
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """Former name of `results`, until 2.0."""
+        return self.results
+
+    @property
+    def looks_like(self) -> str:
+        """Former name of `shape_class`, until 2.0."""
+        return self.shape_class
 
     def outline_xy(self) -> FloatArray:
         """Points (361, 2) of the outline in m, closed, about the centre of mass; PalmdError if there is none."""
         if self.outline is None:
-            reason = self.reason or f"the results of the system {self.system} are in .told"
+            reason = self.reason or f"the results of the system {self.system} are in .results"
             raise PalmdError(f"the reconstruction has no outline: {reason}")
         return self.outline.xy()
 
@@ -132,7 +142,7 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
     line = answer.line
     return SmoothedRun(
         system=run.system.name,
-        told=line,
+        results=line,
         converged=line["converged"],
         verdict=line["verdict"],
         coverage=line["coverage"],
@@ -140,7 +150,7 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
         outline=None if answer.mesh is not None or line.get("h_m") is None else outline_of(line, math.nan),
         trajectory=_trajectory(line.get("trajectory")),
         rig=line.get("rig") or {},
-        looks_like=(line.get("looks_like") or {}).get("said") or "",
+        shape_class=(line.get("shape_class") or {}).get("text") or "",
         surface=answer.mesh,
         **{name: math.nan if line.get(name) is None else line[name] for name in _NUMBERS},
     )

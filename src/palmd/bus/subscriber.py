@@ -10,6 +10,7 @@ from typing import Any
 
 import zmq
 
+from palmd.aliases import with_standard_names
 from palmd.bus.link import Link, wait_ms
 from palmd.keys import Credentials
 from palmd.payload import FRAMES, unpacked
@@ -20,7 +21,7 @@ RECONNECT_MS = 20  # so that few messages of a restarted publisher are missed
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A received message; t_recv on the monotonic clock (s)."""
+    """A received message under standard names; t_recv on the monotonic clock (s)."""
 
     topic: str
     fields: dict[str, Any]
@@ -61,7 +62,8 @@ class Subscriber(Link):
             frames = self._socket.recv_multipart()
             fields = unpacked(frames[1]) if len(frames) in FRAMES else None
             if fields is not None:
-                yield Message(frames[0].decode(errors="replace"), fields, t)
+                topic = frames[0].decode(errors="replace")
+                yield Message(topic, with_standard_names(topic, fields), t)
 
     def frames(self, most: int, wait_s: float = 0.0) -> Iterator[list[bytes]]:
         """Up to `most` waiting messages, not decoded; if there is none, the first that arrives within wait_s."""

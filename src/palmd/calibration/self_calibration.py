@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from palmd.aliases import SELF_CALIBRATION, with_former_names
 from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
 from palmd.config.arms import ServosConfig
@@ -200,7 +201,9 @@ def _results(fit: RigFit) -> dict[str, Any]:
         RIG_NAMES, fit.values.tolist(), fit.sds.tolist(), fit.priors.tolist(), fit.determined.tolist(), strict=True
     )
     return {
-        name: {"value": value, "sd": sd, "prior_sd": prior, "told": is_determined}
+        name: with_former_names(
+            SELF_CALIBRATION, {"value": value, "sd": sd, "prior_sd": prior, "determined": is_determined}
+        )
         for name, value, sd, prior, is_determined in found
     }
 

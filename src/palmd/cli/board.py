@@ -87,7 +87,7 @@ def frame(board: Board, t: float) -> list[BoardRow]:
     if silence > LOOP.stale_s:
         rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; the following data are old", "bad"))
     rows += _faults(board)
-    rows += [BoardRow(f"  rig     {contradiction}", "warning") for contradiction in board.fields(RIG).get("off", ())]
+    rows += [BoardRow(f"  rig     {each}", "warning") for each in board.fields(RIG).get("contradictions", ())]
     for topic, block in (
         (ESTIMATE, estimate),
         (CONTACT, _contact),

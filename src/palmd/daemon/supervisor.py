@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from palmd.aliases import STATUS, with_former_names
 from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
 from palmd.daemon.exploring import ExplorationControl
@@ -268,7 +269,7 @@ class Supervisor:
         status = {
             "state": str(self.state),
             "cause": self.cause,
-            "wish": self.requested_state,
+            "requested_state": self.requested_state,
             "control": self.control.name,
             "unattended": self.unattended,
             "faults": [fault.code for fault in faults],
@@ -291,7 +292,8 @@ class Supervisor:
         if self._arm.actual is not None:
             status |= dict(zip(self._system.joints, self._arm.actual.angles, strict=True))
         optional = {"explored": explored, "recorder": recorder}
-        return status | {name: value for name, value in optional.items() if value is not None}
+        status |= {name: value for name, value in optional.items() if value is not None}
+        return with_former_names(STATUS, status)
 
     def _update_recorder(self, request: Request, t: float) -> dict[str, Any]:
         self.recorder.update(request.args, t)

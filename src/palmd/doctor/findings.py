@@ -126,7 +126,7 @@ def rig(config: Config) -> Iterator[Finding]:
     if message is None:
         yield Finding("rig's constants", "unknown", f"no message palm/rig from {config.bus.publish}")
         return
-    texts = message.fields["off"]
+    texts = message.fields["contradictions"]
     if not texts:
         yield Finding("rig's constants", "ok", "no reading contradicts them")
     for each in texts:

@@ -56,7 +56,7 @@ class Operator:
             self._plan = self._plan or plan
             self._plan_replaced |= plan not in ("", self._plan)
         elif topic == "palm/state":
-            self._suspended |= fields["wish"] not in ("", self.state.get("wish"))
+            self._suspended |= fields["requested_state"] not in ("", self.state.get("requested_state"))
             self.state = fields
 
     def resume(self) -> None:
@@ -89,7 +89,7 @@ def still_needed(command: str, status: Status) -> bool:
     On a busy machine these may be seconds old, and another client may have held or stopped the palms since.
     """
     moves = status["segment"] >= 0
-    return not status["wish"] and _next(status["state"], status["severities"], moves=moves) == command
+    return not status["requested_state"] and _next(status["state"], status["severities"], moves=moves) == command
 
 
 def _next(state: str | None, severities: Iterable[str], *, moves: bool) -> str | None:

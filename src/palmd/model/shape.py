@@ -101,13 +101,12 @@ def harmonic_of_coefficient(order: int = HARMONICS) -> FloatArray:
 def prior_sd(mean_radius: float, order: int = HARMONICS) -> FloatArray:
     """Return the prior standard deviation of each coefficient (m), 0 for the mean radius, which has its own prior.
 
-    Describes smooth convex lumps: a centre of mass anywhere within a tenth of the mean radius, which is 1σ of half as
-    much in each direction; an elongation of several percent, then falling like k^−1.7. v ≥ 0 holds nearly always,
-    although harmonic k enters v with k² − 1.
+    Describes smooth convex lumps: an elongation of several percent, then falling like k^−1.7; v ≥ 0 holds nearly
+    always, although harmonic k enters v with k² − 1.
     """
     k = harmonic_of_coefficient(order)
     sd = 0.045 * mean_radius * (2.0 / np.maximum(k, 1.0)) ** 1.7
-    sd[k == 1] = 0.05 * mean_radius
+    sd[k == 1] = 0.03 * mean_radius
     sd[0] = 0.0
     return sd
 

@@ -266,18 +266,18 @@ class Search:
         return found
 
     def deepened(self, found: Minima | None) -> Minima | None:
-        """`found` with the better minima along its valleys, where it explains the record to its end.
+        """`found` with each minimum followed down its valley, where it explains the record to its end.
 
         Friction makes the cost a narrow, curved valley in which an iteration may stop early. With more process noise at
         first the valley is wide and nearly straight.
         """
         if found is None or not self.covers(found):
             return found
-        deeper = self._loosened(found.record, [fit.guess for fit in found.fits])
-        fits = tuple(fit for fit in deeper.fits if fit.settled and self.explained(fit, deeper.record))
-        if not fits:
-            return found
-        return self.merged(found, replace(deeper, fits=fits))
+        smoother, fits = self.smoother(found.record), list[Fit]()
+        for fit in found.fits:
+            deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), self.noise)
+            fits.append(deeper if deeper.settled and deeper.cost < fit.cost else fit)
+        return replace(found, fits=_distinct(fits))
 
     def with_friction_discrepancy(self, found: Minima) -> Minima:
         """`found`, which has not converged, with the friction law's discrepancy along its own motion as process noise.
@@ -375,11 +375,14 @@ class Search:
         Where contacts slip faster than the palms vibrate, the path depends so sharply on its start and the constants
         that the iteration hardly proceeds; with noise, the readings lead it.
         """
-        smoother, guesses = self.smoother(record), list(known)
+        smoother = self.smoother(record)
+        return self.minima(record, [self._loosely_fitted(smoother, guess) for guess in known])
+
+    def _loosely_fitted(self, smoother: Smoother, guess: Guess) -> Guess:
+        """The guess after fits with `GRADUATED_NOISE`."""
         for times in GRADUATED_NOISE:
-            noisier = self.noise.noisier(times)
-            guesses = [smoother.fit(guess, noisier, GRADUATED_ITERATIONS).guess for guess in guesses]
-        return self.minima(record, guesses)
+            guess = smoother.fit(guess, self.noise.noisier(times), GRADUATED_ITERATIONS).guess
+        return guess
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit predicts the next readings; beyond that the iteration would diverge."""

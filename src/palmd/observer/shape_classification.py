@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from palmd.aliases import SHAPE_CLASS, with_former_names
 from palmd.events import FloatArray
 from palmd.model.shape import basis, prior_sd
 from palmd.observer.primitives import PRIMITIVES, Primitive
@@ -231,16 +232,17 @@ def _smooth(theta: FloatArray) -> FloatArray:
 
 def as_json(shape: ShapeClass) -> dict[str, object]:
     """The classification for results; lengths in m."""
-    return {
+    fields = {
         "name": shape.name or None,
-        "said": shape.text or None,
+        "text": shape.text or None,
         "why": shape.why or None,
         "sizes": [{"name": s.name, "value_m": s.value_m, "sd_m": s.sd_m} for s in shape.sizes],
-        "orientation_told": None if not shape.name else shape.turn_rad > 0.0,
+        "orientation_determined": None if not shape.name else shape.turn_rad > 0.0,
         "chi2": shape.chi2 if math.isfinite(shape.chi2) else None,
         "dof": shape.dof if math.isfinite(shape.dof) else None,
         "probabilities": dict(_rounded(shape.probabilities)),
     }
+    return with_former_names(SHAPE_CLASS, fields)
 
 
 def _rounded(probabilities: tuple[tuple[str, float], ...]) -> list[tuple[str, float]]:

@@ -110,6 +110,8 @@ _CONDITIONS = (
     ),
 )
 
+CODES = (*(condition.code for condition in _CONDITIONS), "not-settled")
+
 
 def settled(evidence: Evidence, least: Thresholds) -> bool:
     """Whether all conditions hold, apart from convexity and the object's identity."""

@@ -18,6 +18,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
+from palmd.aliases import with_standard_names
 from palmd.messages import Fields
 from palmd.payload import unpacked
 from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
@@ -43,11 +44,11 @@ class RawMessage:
 
     @property
     def fields(self) -> Fields:
-        """The decoded payload; raises RunError if it is not a msgpack map."""
+        """The decoded payload under standard names; raises RunError if it is not a msgpack map."""
         fields = unpacked(self.payload)
         if fields is None:
             raise RunError(f"{self.topic}, message {self.sequence}: not a msgpack map; the recording is damaged")
-        return fields
+        return with_standard_names(self.topic, fields)
 
 
 @dataclass(frozen=True, slots=True)

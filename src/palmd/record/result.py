@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from palmd.aliases import RESULT, with_former_names
 from palmd.chords import chords_of
 from palmd.jsonvalues import column, or_none
 from palmd.observer.mass import MassEstimator
@@ -20,7 +21,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
 
     `at_rest` is the mass estimated while the object lay still, which needs no outline.
     """
-    return {
+    line = {
         **verdict(answer.converged, answer.touched, answer.reason),
         "chi2": or_none(answer.chi2),
         "theta_rad": column(answer.theta),
@@ -42,10 +43,11 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "sides": None if answer.h is None else _sides(answer),
         "chords": _chords(answer),
-        "looks_like": as_json(answer.shape_class) if answer.converged else None,
+        "shape_class": as_json(answer.shape_class) if answer.converged else None,
         "trajectory": _trajectory(answer),
         "seconds": or_none(answer.seconds),
     }
+    return with_former_names(RESULT, line)
 
 
 def _rig(answer: Reconstruction) -> dict[str, dict[str, float | None]]:

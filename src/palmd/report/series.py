@@ -316,7 +316,7 @@ class _RunReader:
         self._columns[LOOP.name].add(t, numbers)
 
     def _take_rig(self, _: float, fields: Fields) -> None:
-        self._rig_deviations = tuple(fields["off"])
+        self._rig_deviations = tuple(fields["contradictions"])
 
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)

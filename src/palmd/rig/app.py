@@ -5,9 +5,9 @@ It prints one JSON line with the ports' paths and two ZeroMQ addresses. `truth` 
 daemon's command socket:
 
     status      counters for end-to-end checks
-    tricks      all injectable faults by name, with descriptions
-    mischief    {name, port?, strength?, after_s?, for_s?}: inject a fault; returns its start on the monotonic clock
-    calm        {name, port?}: end a fault
+    faults      all injectable faults by name, with descriptions
+    inject      {name, port?, strength?, after_s?, for_s?}: inject a fault; returns its start on the monotonic clock
+    clear       {name, port?}: end a fault
     new_object  exchange the object
 """
 
@@ -33,6 +33,7 @@ import msgpack
 import numpy as np
 import zmq
 
+from palmd.aliases import RIG_OPTIONS, RIG_REQUESTS, aliases_of, standard_name
 from palmd.config.any_config import AnyConfig
 from palmd.console.extras import require
 from palmd.console.folders import socket_folder
@@ -77,12 +78,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; there is no other object")
     gauge.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
-        "--mischief",
+        "--inject",
         action="append",
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
         help=f"inject a fault; may be repeated; names: {', '.join(ALL_FAULTS)}",
     )
+    for alias in aliases_of(RIG_OPTIONS):
+        target = alias.standard.removeprefix("--")
+        parser.add_argument(alias.former, dest=target, action="append", help=argparse.SUPPRESS)
     parser.add_argument(
         "--uinput",
         action="store_true",
@@ -118,7 +122,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
         config = load_any_config(arguments.config) if arguments.config else default_config()
         t = time.monotonic()
         world = _world(config, seed, arguments, t)
-        for text in arguments.mischief:
+        for text in arguments.inject:
             world.fault_injector.add(parse(text, t))
     except (ConfigError, ValueError) as error:
         return _refuse(str(error))
@@ -359,21 +363,21 @@ class RigProcess:
 
     def _execute(self, command: str, args: dict[str, Any]) -> Any:
         world, t = self.world, self.world.t
-        match command:
+        match standard_name(RIG_REQUESTS, command):
             case "status":
                 return self._status()
-            case "tricks":
+            case "faults":
                 return {name: fault.description for name, fault in ALL_FAULTS.items()}
-            case "mischief":
+            case "inject":
                 orders = order(t=t, **args)
                 world.fault_injector.add(orders)
                 return {"t_on_s": orders[0].t_on}
-            case "calm":
+            case "clear":
                 world.fault_injector.cancel(args["name"], args.get("port"))
             case "new_object":
                 world.new_object()
             case _:
-                raise InjectionError(f"unknown command {command!r}; known: status, tricks, mischief, calm, new_object")
+                raise InjectionError(f"unknown command {command!r}; known: status, faults, inject, clear, new_object")
         return None
 
     def _status(self) -> dict[str, Any]:

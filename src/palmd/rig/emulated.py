@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from palmd.aliases import RIG_STATUS, with_former_names
 from palmd.quantities import Topic
 from palmd.rig.actuators import LineDevice
 from palmd.rig.fault_injection import FaultInjector, FaultOrder, PortName
@@ -88,7 +89,7 @@ class EmulatedRig(ABC, Generic[Arm]):
 
     def status(self) -> dict[str, Any]:
         """Counters and state for end-to-end checks."""
-        return {
+        fields = {
             "t_s": self.t - self._t_start,
             "clock_s": self.t,
             "seed": self.seed,
@@ -96,12 +97,13 @@ class EmulatedRig(ABC, Generic[Arm]):
             "arm_state": str(self._arm.state),
             "object": self.objects,
             **self._counts(),
-            "mischief": self.fault_injector.names(),
+            "injected_faults": self.fault_injector.names(),
             **{f"{name}_packets": pad.packets for name, pad in self._pads.items()},
             **{f"{port}_{what}": n for port, tally in self._tallies.items() for what, n in tally.as_dict().items()},
             **{f"{port}_bytes_waiting": wire.waiting for port, wire in self._out.items()},
             **self._arm.status(),
         }
+        return with_former_names(RIG_STATUS, fields)
 
     def truth(self) -> dict[str, Any]:
         """The true state at `t`."""

@@ -13,7 +13,7 @@ from palmd.observer.shape_classification import root_of_band, shape_class
 from palmd.payload import unpacked
 from palmd.quantities import ESTIMATE, SHAPE
 
-TOPIC = "view/looks_like"
+TOPIC = "view/shape_class"
 PERIOD_S = 3.0
 """Period of the classification, which takes about 0.15 s of processor time in its own thread."""
 
@@ -40,7 +40,7 @@ def shape_class_message(latest: Mapping[str, bytes]) -> bytes | None:
         return None
     with one_thread():
         classified = shape_class(theta, h, root_of_band(sd, theta), touched.astype(bool))
-    return bytes(msgpack.packb({"object": estimate.get("object"), "said": classified.text}))
+    return bytes(msgpack.packb({"object": estimate.get("object"), "text": classified.text}))
 
 
 def _columns(shape: Mapping[str, object]) -> FloatArray:

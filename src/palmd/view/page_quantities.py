@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, fields
 from typing import Any
 
+from palmd.aliases import aliases_of
 from palmd.quantities import (
     CHARTS,
     CONTACT,
@@ -44,10 +45,10 @@ def page_quantities() -> dict[str, Any]:
     """The table as JSON.
 
     as: the topic of two palms under which the page stores each system's topic. listed: quantities that are elements of
-    lists. shows: a sentence on the demo of each system. stale_ms: largest age of topics. shown: presentation of the
-    quantities of all systems, by topic. strips: charts with their quantities and colours. numbers: quantities shown as
-    numbers only. ages: quantities with the age of data. usual: quantities assumed before the first message. system:
-    description of the palms for runs without `palm/info`.
+    lists. shows: a sentence on the demo of each system. stale_ms: largest age of topics. former: standard names by
+    former names, by topic. shown: presentation of the quantities of all systems, by topic. strips: charts with their
+    quantities and colours. numbers: quantities shown as numbers only. ages: quantities with the age of data. usual:
+    quantities assumed before the first message. system: description of the palms for runs without `palm/info`.
     """
     strips = [_strip(topic, chart) for topic in ESTIMATES for chart in CHARTS if chart.span is not None]
     in_strips = {chart.name for chart in CHARTS if chart.span is not None}
@@ -63,6 +64,11 @@ def page_quantities() -> dict[str, Any]:
         ],
         "shows": {"" if name == TWO_PALMS else name: live.shows for name, live in LIVE.items()},
         "stale_ms": {topic.name: topic.stale_s * 1e3 for topic in rated},
+        "former": {
+            topic.name: {each.former: each.standard for each in aliases}
+            for topic in TOPICS
+            if (aliases := aliases_of(topic.name))
+        },
         "shown": {
             ESTIMATE.name: _presentation(PALM3) | _presentation(ESTIMATE) | _list_formats(),
             CONTACT.name: _formats(PALM3_CONTACT) | _formats(CONTACT),

@@ -1,4 +1,4 @@
-"""`palmd calibrate arm`: what it stores and says, and what it says when it cannot measure."""
+"""`palmd calibrate arm`: what it stores and prints, and its messages when it cannot measure."""
 
 import contextlib
 import math
@@ -30,7 +30,7 @@ LIMITS = ArmLimits(-1.0, 1.0, -1.0, 1.0, v_max=1.0, a_max=10.0)
 
 @pytest.fixture
 def configured(tmp_path):
-    """Writes a configuration that is wrong by some millimetres, unless it is told what is right."""
+    """Write a configuration that is wrong by some millimetres unless the arguments give the right values."""
 
     def write(port, hinge="arc", length1=120.0, length2=120.0, x=-300.0, y=0.0):
         path = tmp_path / "palmd.yaml"
@@ -40,15 +40,15 @@ def configured(tmp_path):
     return write
 
 
-def all_over(count):
-    """The palms' angles (rad) at the count-th question."""
+def large_swing(count):
+    """The palms' angles (rad) at the given number of reports."""
     phi1, phi2 = (0.5 - 0.5 * math.cos(math.tau * count / period) for period in (61, 43))
     return math.radians(10.0 + 100.0 * phi1), math.radians(40.0 + 70.0 * phi2)
 
 
 @contextlib.contextmanager
-def arm(swing=all_over, state=ArmState.MANUAL, tool=0.0, deaf=()):
-    """A controller at the far end of a terminal, which a hand swings a bit further with each question; its port."""
+def arm(swing=large_swing, state=ArmState.MANUAL, tool=0.0, deaf=()):
+    """A controller at the far end of a terminal, moved by hand a bit further with each report; yields its port."""
     master, slave = os.openpty()
     tty.setraw(slave)
     over = threading.Event()
@@ -64,9 +64,9 @@ def arm(swing=all_over, state=ArmState.MANUAL, tool=0.0, deaf=()):
                 x, y = np.array([pose.x_m, pose.y_m]) + rng.normal(0.0, 1.5e-5, 2)
                 controller.move_by_hand(Pose(x, y, math.remainder(pose.t_rad - tool, math.tau)))
                 controller.state = state
-                said = controller.feed(data, 0.0, controller.path)
+                message = controller.feed(data, 0.0, controller.path)
                 if count not in deaf:
-                    os.write(master, said)
+                    os.write(master, message)
 
     thread = threading.Thread(target=answer)
     thread.start()
@@ -92,7 +92,7 @@ def calibrate(config, *more):
 
 
 def refused(config, capsys, status=3):
-    """The one line it ends with."""
+    """The one line of its error message."""
     assert calibrate(config) == status
     out, err = capsys.readouterr()
     assert out == ""
@@ -100,7 +100,7 @@ def refused(config, capsys, status=3):
     return err.splitlines()[-1]
 
 
-def test_what_it_asks_for_is_what_the_arm_has(configured, capsys):
+def test_the_proposed_settings_are_those_of_the_arm(configured, capsys):
     with arm() as port:
         config = configured(port)
         assert calibrate(config) == 0
@@ -111,11 +111,11 @@ def test_what_it_asks_for_is_what_the_arm_has(configured, capsys):
     assert proposed_settings["rig"]["palm2_length_mm"] == pytest.approx(118.0, abs=0.03)
     assert proposed_settings["arm"]["base_x_mm"] == pytest.approx(-310.0, abs=0.03)
     assert proposed_settings["arm"]["base_y_mm"] == pytest.approx(20.0, abs=0.03)
-    told = result["found"]
-    assert abs(told["tool_deg"]) < 4.0 * told["tool_sd_deg"] < 0.05
-    assert told["rms_mm"] == pytest.approx(0.015, rel=0.3)
+    found = result["found"]
+    assert abs(found["tool_deg"]) < 4.0 * found["tool_sd_deg"] < 0.05
+    assert found["rms_mm"] == pytest.approx(0.015, rel=0.3)
     out, err = capsys.readouterr()
-    assert out.startswith(f"arm: {told['poses']} poses")
+    assert out.startswith(f"arm: {found['poses']} poses")
     assert f"  arm: {{base_x_mm: {proposed_settings['arm']['base_x_mm']}" in out
     assert "TOOL" not in err
     rig, arm_ = proposed_settings["rig"], proposed_settings["arm"]
@@ -126,7 +126,7 @@ def test_what_it_asks_for_is_what_the_arm_has(configured, capsys):
     assert Linkage.from_config(mended).angles(pose.x_m, pose.y_m) == pytest.approx((0.7, 1.5), abs=3e-4)
 
 
-def test_a_tool_that_is_mounted_askew_is_told_and_changes_nothing_else(configured, capsys):
+def test_a_rotated_tool_is_reported_and_changes_no_other_setting(configured, capsys):
     with arm(tool=math.radians(2.0)) as port:
         config = configured(port)
         assert calibrate(config, "-o", config.parent / "there") == 0
@@ -136,22 +136,22 @@ def test_a_tool_that_is_mounted_askew_is_told_and_changes_nothing_else(configure
     assert "the tool angle is +2.0" in capsys.readouterr().err
 
 
-def test_some_lost_answers_and_power_off_do_no_harm(configured):
+def test_lost_answers_and_power_off_are_tolerated(configured):
     with arm(state=ArmState.POWER_OFF, deaf={3, 4, 20, 21, 60, 70, 80}) as port:
         assert calibrate(configured(port)) == 0
 
 
 @pytest.mark.parametrize("state", [ArmState.READY, ArmState.TRACKING, ArmState.FAULT])
-def test_an_arm_that_may_move_by_itself_is_refused(configured, capsys, state):
+def test_an_arm_outside_manual_mode_is_refused(configured, capsys, state):
     with arm(state=state) as port:
-        said = refused(configured(port), capsys)
-    assert f"state {state}: switch it to manual mode (M)" in said
+        message = refused(configured(port), capsys)
+    assert f"state {state}: switch it to manual mode (M)" in message
 
 
 @pytest.mark.parametrize(
     ("swing", "why"),
     [
-        (lambda count: (0.6, all_over(count)[1]), "arm: the arm turned about one point"),
+        (lambda count: (0.6, large_swing(count)[1]), "arm: the arm turned about one point"),
         (lambda _count: (0.6, 1.5), "no motion within"),
     ],
     ids=["one palm alone", "nobody"],
@@ -161,13 +161,13 @@ def test_too_little_swing_is_refused(configured, capsys, swing, why):
         assert why in refused(configured(port), capsys)
 
 
-def test_nobody_answers(configured, capsys, monkeypatch):
+def test_a_silent_controller_is_reported(configured, capsys, monkeypatch):
     monkeypatch.setattr(command, "FIRST_MOTION_S", 20.0)
     with arm(deaf=range(1000)) as port:
         assert "does not answer: expected A04, observed nothing" in refused(configured(port), capsys)
 
 
-def test_a_port_that_is_not_there_and_one_that_the_daemon_has(configured, capsys, monkeypatch):
+def test_a_missing_port_and_a_port_held_by_the_daemon_are_reported(configured, capsys, monkeypatch):
     assert refused(configured("/dev/none3"), capsys).startswith("arm: no such port /dev/none3")
     monkeypatch.setattr(command, "holders", lambda _path: [(77, "palmd")])
     assert refused(configured("/dev/none3"), capsys) == (
@@ -180,7 +180,7 @@ def test_a_fixed_hinge_has_no_arm_to_calibrate(configured, capsys):
 
 
 @pytest.mark.parametrize("seconds", ["2", "601", "nan"])
-def test_how_long_is_checked(configured, monkeypatch, seconds):
+def test_the_duration_is_checked(configured, monkeypatch, seconds):
     monkeypatch.undo()
     with pytest.raises(SystemExit) as ended:
         calibrate(configured("/dev/none3"), "--seconds", seconds)

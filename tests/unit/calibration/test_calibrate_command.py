@@ -1,4 +1,4 @@
-"""`palmd calibrate pad`: what it stores and says, and what it says when it cannot measure."""
+"""`palmd calibrate pad`: what it stores and prints, and its messages when it cannot measure."""
 
 import os
 import sys
@@ -28,7 +28,7 @@ CONFIG = "pads: {{palm1: {{port: {port}{more}}}, palm2: {{port: /dev/none2}}}}\n
 
 @pytest.fixture
 def configured(tmp_path):
-    """Writes a configuration whose first pad has this port, and more keys."""
+    """Write a configuration whose first pad has this port and further keys."""
 
     def write(port="/dev/none1", more=""):
         path = tmp_path / "palmd.yaml"
@@ -45,7 +45,7 @@ def line():
 
 
 def marble(monkeypatch, change=lambda packets: packets, batches=None, made_for=None, **options):
-    """The pad is emulated: there is no port and nothing to wait for."""
+    """Emulate the pad: no port and no waiting."""
 
     def listen(number, config, seconds):
         packets, counters = rolled(made_for or config, 1, seconds, PadOptions(**options))
@@ -56,7 +56,7 @@ def marble(monkeypatch, change=lambda packets: packets, batches=None, made_for=N
 
 
 def on_first_wait(monkeypatch, act):
-    """Once the port is open: opening it drops what came before."""
+    """Act once the port is open; opening it discards earlier bytes."""
 
     class Waiter(pad.PortWaiter):
         acted = False
@@ -75,7 +75,7 @@ def calibrate(config, *more, pad=1):
 
 
 def refused(config, status, capsys, *more):
-    """The one line it ends with."""
+    """The one line of its error message."""
     assert calibrate(config, *more) == status
     out, err = capsys.readouterr()
     assert out == ""
@@ -83,7 +83,7 @@ def refused(config, status, capsys, *more):
     return err.splitlines()[-1]
 
 
-def test_result_and_figure_stand_beside_the_configuration(configured, monkeypatch, capsys):
+def test_result_and_figure_are_stored_beside_the_configuration(configured, monkeypatch, capsys):
     marble(monkeypatch, noise_m=2e-4)
     config = configured()
     assert calibrate(config) == 0
@@ -103,7 +103,7 @@ def test_result_and_figure_stand_beside_the_configuration(configured, monkeypatc
     assert err == ""
 
 
-def test_what_it_asks_for_is_taken_and_then_the_hash_is_the_section_s(configured, monkeypatch, capsys):
+def test_applying_the_proposal_gives_the_stored_hash(configured, monkeypatch, capsys):
     marble(monkeypatch, noise_m=2e-4)
     config = configured()
     assert calibrate(config) == 0
@@ -115,7 +115,7 @@ def test_what_it_asks_for_is_taken_and_then_the_hash_is_the_section_s(configured
     assert main(["check", str(config)]) == 0
 
 
-def test_the_other_axis_and_another_folder(configured, monkeypatch, tmp_path):
+def test_the_configured_axis_and_the_output_folder_are_used(configured, monkeypatch, tmp_path):
     marble(monkeypatch, noise_m=3e-4)
     config = configured(more=", axis: y")
     assert calibrate(config, "-o", tmp_path / "a/b") == 0
@@ -124,22 +124,22 @@ def test_the_other_axis_and_another_folder(configured, monkeypatch, tmp_path):
     assert result["found"]["y"]["noise_mm"] == pytest.approx(0.3, rel=0.1)
 
 
-def test_noise_below_the_rounding_still_gives_a_number_that_is_taken():
+def test_noise_below_the_rounding_gives_a_valid_setting():
     config = VersaPadConfig(port="p")
     packets, counters = rolled(config, 1, 20.0)
     found = characterise(packets, counters.as_dict(), config)
-    for noise, noise_sd, said in (
+    for noise, noise_sd, message in (
         (0.0, 0.004, 0.004),
         (0.002, 0.004, 0.004),
         (0.0, 0.0, 0.001),
         (0.1234, 0.004, 0.123),
     ):
         hidden = replace(found, x=replace(found.x, noise_mm=noise, noise_sd_mm=noise_sd))
-        assert pad.noise_mm(hidden, config) == said
-        assert VersaPadConfig(port="p", noise_mm=said).noise_mm == said
+        assert pad.noise_mm(hidden, config) == message
+        assert VersaPadConfig(port="p", noise_mm=message).noise_mm == message
 
 
-def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, monkeypatch, capsys):
+def test_a_pad_that_disagrees_with_its_configuration_causes_remarks(configured, monkeypatch, capsys):
     def coarse(packets):
         return [replace(each, x_counts=4 * round(each.x_counts / 4), batched=True) for each in packets]
 
@@ -151,19 +151,19 @@ def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, mon
     assert "100 reads held several reports" in err
 
 
-def test_without_matplotlib_the_result_is_stored_all_the_same(configured, monkeypatch, capsys):
+def test_without_matplotlib_the_result_is_stored_without_a_figure(configured, monkeypatch, capsys):
     marble(monkeypatch)
     monkeypatch.delitem(sys.modules, "palmd.calibration.pad_figure", raising=False)
     monkeypatch.delattr(palmd.calibration, "pad_figure", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     config = configured()
     assert calibrate(config) == 0
-    told = f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
-    assert capsys.readouterr().err == told
+    message = f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
+    assert capsys.readouterr().err == message
     assert [path.name for path in (config.parent / "calibration").iterdir()] == ["pad1.yaml"]
 
 
-def test_an_earlier_result_outlives_a_failure(configured, monkeypatch, capsys):
+def test_a_failure_keeps_an_earlier_result(configured, monkeypatch, capsys):
     config = configured()
     stored = config.parent / "calibration/pad1.yaml"
     stored.parent.mkdir()
@@ -174,16 +174,16 @@ def test_an_earlier_result_outlives_a_failure(configured, monkeypatch, capsys):
     assert stored.read_text() == "precious\n"
 
 
-def test_a_port_that_another_process_holds(configured, line, capsys):
+def test_a_port_held_by_another_process_is_reported(configured, line, capsys):
     holder = Port("daemon", line[1], 9600)
     assert holder.poll_open(0.0)
-    said = refused(configured(line[1]), 3, capsys)
+    message = refused(configured(line[1]), 3, capsys)
     holder.close()
-    assert said.startswith(f"pad1: {line[1]} is held by another process: end it")
+    assert message.startswith(f"pad1: {line[1]} is held by another process: end it")
 
 
 @pytest.mark.parametrize(
-    ("heard", "seconds", "said"),
+    ("heard", "seconds", "message"),
     [
         (encode_packet(0, 0, 0, in_use=False), 20, "no report within 0 s: nobody has touched the pad"),
         (b"\x15" * 10, 20, "10 bytes, but no report among them at 9600 baud: check pad and baud rate"),
@@ -191,13 +191,15 @@ def test_a_port_that_another_process_holds(configured, line, capsys):
     ],
     ids=["lift-off", "garbage", "few"],
 )
-def test_what_is_no_rolled_marble_is_refused(configured, line, monkeypatch, capsys, heard, seconds, said):
+def test_reports_that_are_not_of_a_rolled_marble_are_refused(
+    configured, line, monkeypatch, capsys, heard, seconds, message
+):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
     on_first_wait(monkeypatch, lambda: os.write(line[0], heard))
-    assert refused(configured(line[1]), 3, capsys, "--seconds", seconds).startswith(f"pad1: {said}")
+    assert refused(configured(line[1]), 3, capsys, "--seconds", seconds).startswith(f"pad1: {message}")
 
 
-def test_the_plug_is_pulled(configured, monkeypatch, capsys):
+def test_a_lost_port_is_reported(configured, monkeypatch, capsys):
     master, slave = os.openpty()
     tty.setraw(slave)
     path = os.ttyname(slave)
@@ -206,13 +208,13 @@ def test_the_plug_is_pulled(configured, monkeypatch, capsys):
     assert f"pad1: {path} was lost" in refused(configured(path), 3, capsys)
 
 
-def test_a_pad_that_does_not_answer_its_start_up(configured, line, monkeypatch, capsys):
+def test_a_pad_that_does_not_answer_the_handshake_is_reported(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 1.8)
-    said = refused(configured(line[1], ", handshake: break"), 3, capsys)
-    assert said.startswith("pad1: no identity within 1 s after the break")
+    message = refused(configured(line[1], ", handshake: break"), 3, capsys)
+    assert message.startswith("pad1: no identity within 1 s after the break")
 
 
-def test_bad_configurations(configured, tmp_path, capsys):
+def test_invalid_configurations_are_reported_with_their_place(configured, tmp_path, capsys):
     assert "no such file" in refused(tmp_path / "none.yaml", 1, capsys)
     for noise in ("0", "-0.1", "5.1", ".nan", "true", '"0.1"'):
         config = configured(more=f", noise_mm: {noise}")
@@ -221,12 +223,12 @@ def test_bad_configurations(configured, tmp_path, capsys):
         assert capsys.readouterr().err.startswith(f"{config}:1:44: pads.palm1.noise_mm: must be ")
 
 
-def test_a_folder_that_cannot_be_written(configured, tmp_path, capsys):
+def test_a_folder_that_cannot_be_written_is_reported(configured, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert "cannot be written" in refused(configured(), 1, capsys, "-o", tmp_path / "file")
 
 
-def test_what_rolls_is_not_evaluated_on_curved_palms(capsys):
+def test_gravity_calibration_refuses_curved_palms(capsys):
     assert main(["calibrate", "gravity", str(shipped("cradle.yaml"))]) == 1
     assert "supports flat palms only, and these are curved" in capsys.readouterr().err
 
@@ -241,7 +243,7 @@ def test_the_same_reports_give_the_same_figure(configured, monkeypatch):
     assert figures[0] == figures[1]
 
 
-def test_the_option_that_was_needed_once_is_still_taken_and_no_longer_shown(tmp_path, capsys):
+def test_the_obsolete_option_is_accepted_but_not_shown_in_help(tmp_path, capsys):
     assert main(["calibrate", "pad", "--characterise", str(tmp_path / "none.yaml"), "--pad", "1"]) == 1
     assert "none.yaml:1:1: no such file" in capsys.readouterr().err
     with pytest.raises(SystemExit):

@@ -1,6 +1,6 @@
-"""`palmd calibrate pads` and `force`: what they find, store and say, and what they say when they cannot.
+"""`palmd calibrate pads`, `force` and `standoff`: what they find, store and print, and their error messages.
 
-On the daemon's core and the emulated rig, whose pads are not as the daemon's configuration says.
+They run on the daemon's core and the emulated rig, whose pads differ from the daemon's configuration.
 """
 
 import threading
@@ -24,7 +24,7 @@ REAL = (
     "{port: pad1, zero_mm: 26.5, counts_per_mm: 8.11, newtons_per_count: 0.024}",
     "{port: pad2, zero_mm: 29.2, counts_per_mm: 7.65, newtons_per_count: 0.017, sign: -1}",
 )
-"""1.5 mm, 3 % and 20 % from what the daemon is told, and the second pad is mirrored."""
+"""1.5 mm, 3 % and 20 % from the daemon's configuration; the second pad is mirrored."""
 
 LIMITS = "{phi1_deg: [20, 70], phi2_deg: [70, 110]}"
 BODIES = turned(0.02, 0.1), turned(0.015, 0.05)
@@ -40,24 +40,24 @@ def written(folder, name, pads=("{port: pad1}", "{port: pad2}"), limits=LIMITS, 
 
 
 @pytest.fixture
-def mine(tmp_path):
+def config_path(tmp_path):
     """The daemon's configuration, which is wrong."""
     return written(tmp_path, "my.yaml")
 
 
 @pytest.fixture
-def rig(tmp_path, mine):
-    """Runs the rig as it really is; the daemon has `mine`."""
+def rig(tmp_path, config_path):
+    """Run the rig as it really is; the daemon has the configuration of `config_path`."""
 
     def run(**more):
-        return running(load_config(written(tmp_path, "REAL.yaml", REAL)), load_config(mine), 5, BODIES, **more)
+        return running(load_config(written(tmp_path, "REAL.yaml", REAL)), load_config(config_path), 5, BODIES, **more)
 
     return run
 
 
 @pytest.fixture(autouse=True)
 def brief(monkeypatch):
-    """Plans like those of a rig, but with fewer and shorter rests: what these are worth is `test_pad_force.py`'s."""
+    """Plans like those of a rig, with fewer and shorter rests; `test_pad_force.py` tests the accuracy of full plans."""
     monkeypatch.setattr(cylinder_session, "FIRST_TOUCH_S", 3.0)
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 0.1)
     monkeypatch.setattr(cylinder, "_TIPS", 2)
@@ -67,7 +67,7 @@ def brief(monkeypatch):
 
 @pytest.fixture
 def brisk(monkeypatch):
-    """Plans that are over soon, for those that are in vain."""
+    """Short plans for calibrations that must fail."""
     monkeypatch.setattr(cylinder, "SLOW_RAD_S", cylinder.BRISK_RAD_S)
 
 
@@ -80,7 +80,7 @@ def force(config, *more):
 
 
 def refused(config, status, capsys, *more, calibrate=pads):
-    """The one line it ends with; nothing is stored."""
+    """The one line of its error message; nothing is stored."""
     assert calibrate(config, *more) == status
     out, err = capsys.readouterr()
     assert out == ""
@@ -88,11 +88,11 @@ def refused(config, status, capsys, *more, calibrate=pads):
     return err.splitlines()[-1]
 
 
-def test_pads_are_found_stored_and_told(rig, mine, capsys):
+def test_pads_are_calibrated_stored_and_printed(rig, config_path, capsys):
     with rig() as world:
-        assert pads(mine) == 0
-        wait(lambda: world.status()["arm_state"] != "T", "the arm that brakes")  # it is told to before the command ends
-    result = yaml.safe_load((mine.parent / "calibration/pads.yaml").read_text())
+        assert pads(config_path) == 0
+        wait(lambda: world.status()["arm_state"] != "T", "the arm to brake")  # the command does not wait for it
+    result = yaml.safe_load((config_path.parent / "calibration/pads.yaml").read_text())
     assert (result["palmd_pads_scale"], result["radius_mm"]) == (1, 20.0)
     asked = result["configuration"]
     assert asked["palm1"]["zero_mm"] == pytest.approx(26.5, abs=0.05)
@@ -103,20 +103,24 @@ def test_pads_are_found_stored_and_told(rig, mine, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("pad1: ")
     for palm, settings in asked.items():
-        told = f"sign: {settings['sign']}, zero_mm: {settings['zero_mm']}, counts_per_mm: {settings['counts_per_mm']}"
-        assert f"{mine}: write in pads.{palm}: {told}\n" in out
+        settings_text = (
+            f"sign: {settings['sign']}, zero_mm: {settings['zero_mm']}, counts_per_mm: {settings['counts_per_mm']}"
+        )
+        assert f"{config_path}: write in pads.{palm}: {settings_text}\n" in out
     assert err.startswith("lay the cylinder between the palms, across both pads\n")
-    assert "tracking" in err.splitlines()[-1], "no remark"
-    assert world.status()["arm_state"] in "DR", "the arm was stopped"
+    assert "tracking" in err.splitlines()[-1], "no remarks"
+    assert world.status()["arm_state"] in "DR", "the arm is stopped"
     assert world.status()["setpoints_outside_limits"] == 0
     before = [f"{{port: pad{n}, " + ", ".join(f"{k}: {v}" for k, v in asked[f"palm{n}"].items()) + "}" for n in (1, 2)]
-    after = written(mine.parent, "after.yaml", before)
-    assert config_hash(load_config(after).pads) == result["settings_sha256"] != config_hash(load_config(mine).pads)
+    after = written(config_path.parent, "after.yaml", before)
+    assert (
+        config_hash(load_config(after).pads) == result["settings_sha256"] != config_hash(load_config(config_path).pads)
+    )
 
 
-def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
-    with rig(pad_options=PadOptions(force_drift=0.0)):  # which many rounds average
-        assert force(mine, "--rounds", 2, "-o", tmp_path / "kept") == 0
+def test_forces_are_calibrated_stored_and_printed(rig, config_path, tmp_path, capsys):
+    with rig(pad_options=PadOptions(force_drift=0.0)):  # many rounds average the drift
+        assert force(config_path, "--rounds", 2, "-o", tmp_path / "kept") == 0
     result = yaml.safe_load((tmp_path / "kept/force.yaml").read_text())
     assert (result["palmd_pads_force"], result["radius_mm"], result["mass_g"]) == (1, 20.0, 100.0)
     found = result["configuration"]
@@ -125,7 +129,7 @@ def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
     assert (result["found"]["rests"], result["found"]["rounds"]) == (32, 2)
     out, _ = capsys.readouterr()
     assert out.startswith("32 rests in 2 rounds, friction at rest ")
-    assert f"{mine}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
+    assert f"{config_path}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
 
 
 def standoff(config, *more):
@@ -134,7 +138,7 @@ def standoff(config, *more):
     )
 
 
-def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, tmp_path, capsys, monkeypatch):
+def test_standoffs_are_found_with_two_cylinders(rig, config_path, tmp_path, capsys, monkeypatch):
     off = "rig: {imperfections: {palm1: {standoff_mm: 0.3}, palm2: {standoff_mm: -0.1}}}"
 
     def exchanged(*arguments):
@@ -144,9 +148,9 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
     waited = standoff_command.wait_until_removed
     monkeypatch.setattr(standoff_command, "wait_until_removed", exchanged)
     real = load_config(written(tmp_path, "off.yaml", REAL, more=off))
-    with running(real, load_config(mine), 5, BODIES) as world:
-        assert standoff(mine) == 0
-    result = yaml.safe_load((mine.parent / "calibration/standoff.yaml").read_text())
+    with running(real, load_config(config_path), 5, BODIES) as world:
+        assert standoff(config_path) == 0
+    result = yaml.safe_load((config_path.parent / "calibration/standoff.yaml").read_text())
     assert (result["radius_mm"], result["second_radius_mm"]) == (20.0, 15.0)
     for pad, true_mm in zip(result["found"].values(), (0.3, -0.1), strict=True):
         assert pad["standoff_mm"] == pytest.approx(true_mm, abs=3.0 * pad["standoff_sd_mm"])
@@ -164,54 +168,56 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
     assert world.status()["setpoints_outside_limits"] == 0
 
 
-def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
+def test_a_first_cylinder_that_stays_in_ends_the_calibration(rig, config_path, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
     monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     with rig():
-        said = refused(mine, 3, capsys, calibrate=standoff)
-    assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
+        message = refused(config_path, 3, capsys, calibrate=standoff)
+    assert message == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
 
 
 @pytest.mark.usefixtures("brisk")
-def test_swapped_pads_are_refused(rig, mine, capsys):
+def test_swapped_pads_are_refused(rig, config_path, capsys):
     with rig(crossed=True):
-        said = refused(mine, 3, capsys)
-    assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in said
+        message = refused(config_path, 3, capsys)
+    assert "the pads are swapped; exchange pads.palm1.port and pads.palm2.port" in message
 
 
 @pytest.mark.usefixtures("brisk")
-def test_a_daemon_with_another_configuration_is_noticed(rig, mine, capsys):
+def test_a_daemon_with_another_configuration_is_detected(rig, config_path, capsys):
     with rig():
-        mine.write_text(mine.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}"))
-        said = refused(mine, 3, capsys)
-    assert said == "pad 1's readings were made with another configuration: restart the daemon with this one"
+        config_path.write_text(
+            config_path.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}")
+        )
+        message = refused(config_path, 3, capsys)
+    assert message == "pad 1's readings were made with another configuration: restart the daemon with this one"
 
 
-def test_nothing_on_the_palms(rig, mine, capsys, monkeypatch):
+def test_without_contact_nothing_is_moved(rig, config_path, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "FIRST_TOUCH_S", 1.0)
     with rig() as world:
         world.fault_injector.add(order("lift", world.t, strength=1.0, for_s=1e6))
-        assert refused(mine, 3, capsys) == "nothing has touched the pads within 1 s: nothing has been moved"
+        assert refused(config_path, 3, capsys) == "nothing has touched the pads within 1 s: nothing has been moved"
         assert world.status()["arm_state"] == "R"
 
 
-def test_a_cylinder_on_one_palm_only(rig, mine, capsys, monkeypatch):
-    monkeypatch.setattr(cylinder_session, "TOUCHED_S", 1.0)  # the pad is silent for a moment before it is told so
+def test_a_cylinder_on_one_palm_only_is_reported(rig, config_path, capsys, monkeypatch):
+    monkeypatch.setattr(cylinder_session, "TOUCHED_S", 1.0)  # less time than the pad takes to become silent
     with rig() as world:
         world.fault_injector.add(order("mute", world.t, port="pad2", for_s=1e6))
-        said = refused(mine, 3, capsys)
-    assert said == "the cylinder touches palm 1 but not palm 2 within 3 s: nothing has been moved"
+        message = refused(config_path, 3, capsys)
+    assert message == "the cylinder touches palm 1 but not palm 2 within 3 s: nothing has been moved"
 
 
-def test_an_arm_that_may_not_be_armed(rig, mine, capsys):
+def test_a_fault_that_prevents_arming_is_reported(rig, config_path, capsys):
     with rig() as world:
         world.fault_injector.add(order("estop", world.t))
         time.sleep(0.3)
-        said = refused(mine, 3, capsys)
-    assert said.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
+        message = refused(config_path, 3, capsys)
+    assert message.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
 
 
-def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
+def test_losing_the_cylinder_ends_the_calibration(rig, config_path, capsys, monkeypatch):
     monkeypatch.setattr("palmd.harness.operator.HELD_S", 0.5)
 
     def lift():
@@ -221,47 +227,47 @@ def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
     with rig() as world:
         thread = threading.Thread(target=lift)
         thread.start()
-        said = refused(mine, 3, capsys)
+        message = refused(config_path, 3, capsys)
         thread.join()
-    assert said.startswith("held for 0.5 s, so ended; pad")
+    assert message.startswith("held for 0.5 s, so ended; pad")
 
 
-def test_no_daemon(mine, capsys):
-    assert "is a palmd running there" in refused(mine, 3, capsys)
-    assert not (mine.parent / "calibration").exists(), "a calibration that was refused leaves nothing"
+def test_a_missing_daemon_is_reported(config_path, capsys):
+    assert "is a palmd running there" in refused(config_path, 3, capsys)
+    assert not (config_path.parent / "calibration").exists(), "a refused calibration stores nothing"
 
 
-def test_cylinders_that_do_not_fit(mine, capsys, tmp_path):
-    said = refused(mine, 1, capsys, "--radius-mm", "60")
-    assert said == (
+def test_cylinders_of_unsuitable_radius_are_refused(config_path, capsys, tmp_path):
+    message = refused(config_path, 1, capsys, "--radius-mm", "60")
+    assert message == (
         "a cylinder of 60 mm radius can be moved by 7.7 mm along the pads; at least 10 mm are needed:"
         " the radius is too large for these pads and limits.phi2_deg"
     )
-    assert "0.0 mm along the pads" in refused(mine, 1, capsys, "--radius-mm", "90")
-    assert "use a larger cylinder, or widen limits" in refused(mine, 1, capsys, "--radius-mm", "8")
+    assert "0.0 mm along the pads" in refused(config_path, 1, capsys, "--radius-mm", "90")
+    assert "use a larger cylinder, or widen limits" in refused(config_path, 1, capsys, "--radius-mm", "8")
     narrow = written(tmp_path, "narrow.yaml", limits="{phi1_deg: [40, 50], phi2_deg: [70, 110]}")
     assert "widen limits.phi1_deg" in refused(narrow, 1, capsys, calibrate=force)
 
 
-def test_bad_configurations_and_folders(tmp_path, mine, capsys):
+def test_invalid_configurations_and_folders_are_reported(tmp_path, config_path, capsys):
     assert "no such file" in refused(tmp_path / "none.yaml", 1, capsys)
     (tmp_path / "file").write_text("")
     for folder in ("file", "file/of/it"):
-        assert f"{tmp_path / 'file'} is no folder" in refused(mine, 1, capsys, "-o", tmp_path / folder)
-    (tmp_path / "astray").symlink_to("nowhere")
-    assert "astray is no folder" in refused(mine, 1, capsys, "-o", tmp_path / "astray")
-    assert "File name too long" in refused(mine, 1, capsys, "-o", tmp_path / ("a" * 300))
+        assert f"{tmp_path / 'file'} is no folder" in refused(config_path, 1, capsys, "-o", tmp_path / folder)
+    (tmp_path / "dangling").symlink_to("nowhere")
+    assert "dangling is no folder" in refused(config_path, 1, capsys, "-o", tmp_path / "dangling")
+    assert "File name too long" in refused(config_path, 1, capsys, "-o", tmp_path / ("a" * 300))
 
 
-def test_a_daemon_that_is_gone_between_the_cylinders_is_told_as_such(mine, capsys, monkeypatch):
+def test_a_daemon_that_stops_between_the_cylinders_is_reported(config_path, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
     monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
-    assert "is a palmd running there" in refused(mine, 3, capsys, calibrate=standoff)
+    assert "is a palmd running there" in refused(config_path, 3, capsys, calibrate=standoff)
 
 
-def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
-    said = refused(mine, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
-    assert said.startswith("cylinders of 20 and 19 mm radius are too similar")
+def test_two_cylinders_of_similar_radius_are_refused(config_path, capsys):
+    message = refused(config_path, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
+    assert message.startswith("cylinders of 20 and 19 mm radius are too similar")
 
 
 @pytest.mark.parametrize(
@@ -273,7 +279,7 @@ def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
         ["force", "my.yaml", "--radius-mm", "20", "--mass-g", "100", "--rounds", "1"],
     ],
 )
-def test_usage(arguments, capsys):
+def test_invalid_arguments_are_usage_errors(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["calibrate", *arguments])
     assert caught.value.code == 2

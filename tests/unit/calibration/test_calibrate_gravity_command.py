@@ -1,4 +1,4 @@
-"""`palmd calibrate gravity` against a daemon's sockets: what it asks and stores, and what stands in its way."""
+"""`palmd calibrate gravity` against a daemon's sockets: what it requests and stores, and what prevents it."""
 
 import math
 import threading
@@ -34,7 +34,7 @@ pads: {{palm1: {{port: /dev/none1}}, palm2: {{port: /dev/none2}}}}
 arm: {{port: /dev/none3, base_x_mm: -280.0, base_y_mm: 30.0, base_yaw_deg: 1.0}}
 bus: {{publish: "ipc://{folder}/publish", command: "ipc://{folder}/command"}}
 """
-FAULTY = 4  # the plan at whose pose the fault comes, if one does: the third slope
+FAULTY = 4  # number of the plan at whose pose the fault comes, if any: the third slope
 G, YAW_ERROR = 9.2, math.radians(1.5)
 
 
@@ -53,7 +53,7 @@ def quick(monkeypatch):
 
 
 class Daemon:
-    """Goes wherever a plan says, at once; there something rolls unless `lazy`."""
+    """Executes each plan at once; there the roller rolls unless `lazy`."""
 
     def __init__(self, path, refuses=(), lazy=False, touched=False, fault_after=None, hash=None, most=180.0):
         self.state, self.asked, self.poses, self.plans = "ready", [], [], []
@@ -62,7 +62,7 @@ class Daemon:
         self._refuses, self._lazy, self._touched, self._fault_after = refuses, lazy, touched, fault_after
         self._rng, self._t = np.random.default_rng(7), 0.0
         self._rolling = False
-        self.fault_told = threading.Event()
+        self.fault_reported = threading.Event()
 
     def answer(self, request):
         name = request.name
@@ -89,13 +89,13 @@ class Daemon:
 
     def _status(self):
         if self.state == "fault":
-            self.fault_told.set()
+            self.fault_reported.set()
         grave = ["arm-estop"] if self.state == "fault" else []
         return {"state": self.state, "cause": "stop was requested", "over": self._rolling, "moving": False,
                 "faults": grave, "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
 
     def events(self):
-        """What has been felt since the last time."""
+        """Events since the last call."""
         self._t += 1.0
         touch = [PadSample(self._t, 1, 0.03, 0.2)] if self._touched else []
         if not (self._rolling and self.poses) or self._lazy:
@@ -105,13 +105,13 @@ class Daemon:
             self.state = "fault" if self._fault_after < 0 else self.state
         phi1, phi2 = self.poses[-1]
         palm = 1 if phi1 < 40.0 else 2
-        felt, self._t = rolled(self._rng, palm, phi1, phi2, G, YAW_ERROR, self._t)
-        return [PalmSample(self._t, (math.radians(phi1), math.radians(phi2))), *felt]
+        readings, self._t = rolled(self._rng, palm, phi1, phi2, G, YAW_ERROR, self._t)
+        return [PalmSample(self._t, (math.radians(phi1), math.radians(phi2))), *readings]
 
 
 @contextmanager
 def serving(path, daemon):
-    """The daemon at its sockets."""
+    """Serve the daemon at its sockets."""
     folder = path.parent
     bus, over = Bus(f"ipc://{folder}/publish", f"ipc://{folder}/command"), threading.Event()
 
@@ -137,7 +137,7 @@ def calibrate(path, *more):
 
 
 def refused(path, capsys, status, *more):
-    """The one line it ends with; nothing has been stored."""
+    """The one line of its error message; nothing is stored."""
     assert calibrate(path, *more) == status
     out, err = capsys.readouterr()
     assert out == ""
@@ -146,26 +146,26 @@ def refused(path, capsys, status, *more):
 
 
 def base_in_arm(sections):
-    """Where the palms' base is for the arm (mm), by complex numbers."""
+    """Position of the palms' base in arm coordinates (mm), by complex numbers."""
     offset = complex(*sections.rig.base_mm) - complex(sections.arm.base_x_mm, sections.arm.base_y_mm)
     turned = offset * np.exp(-1j * math.radians(sections.arm.base_yaw_deg))
     return turned.real, turned.imag
 
 
-def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
+def test_four_slopes_determine_gravity_and_yaw(path, capsys):
     daemon = Daemon(path)
     with serving(path, daemon):
         assert calibrate(path, "--rolls", 12) == 0
     assert daemon.asked == ["plan", "arm", *["plan", "start"] * 4, "stop"]
     assert daemon.poses == [(8.0, 110.0), (8.0, 110.0), (26.0, 110.0), (41.0, 110.0), (59.0, 110.0)]
     result = yaml.safe_load((path.parent / "calibration/gravity.yaml").read_text())
-    told = result["found"]
+    found = result["found"]
     assert result["palmd_gravity_calibration"] == 1
     assert result["roller"] == "ball"
-    assert abs(told["gravity_m_s2"] - G) < 4.0 * told["gravity_sd_m_s2"] < 0.2
-    assert told["yaw_error_deg"] == pytest.approx(1.5, abs=0.1)
-    assert [(row["pad"], row["slope_deg"]) for row in told["slopes"]] == [(1, 8.0), (1, 26.0), (2, 11.0), (2, 29.0)]
-    assert all(abs(row["left_m_s2"]) < 4.0 * row["left_sd_m_s2"] for row in told["slopes"])
+    assert abs(found["gravity_m_s2"] - G) < 4.0 * found["gravity_sd_m_s2"] < 0.2
+    assert found["yaw_error_deg"] == pytest.approx(1.5, abs=0.1)
+    assert [(row["pad"], row["slope_deg"]) for row in found["slopes"]] == [(1, 8.0), (1, 26.0), (2, 11.0), (2, 29.0)]
+    assert all(abs(row["left_m_s2"]) < 4.0 * row["left_sd_m_s2"] for row in found["slopes"])
     out, err = capsys.readouterr()
     assert out.startswith("gravity: ")
     assert "palm 2   29.0°" in out
@@ -174,10 +174,10 @@ def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
     after = changed(before, result["configuration"]["rig"], result["configuration"]["arm"])
     assert config_hash(after) == result["settings_sha256"]
     assert base_in_arm(after) == pytest.approx(base_in_arm(before), abs=2e-3)
-    assert after.arm.base_yaw_deg - before.arm.base_yaw_deg == pytest.approx(told["yaw_error_deg"], abs=1e-3)
+    assert after.arm.base_yaw_deg - before.arm.base_yaw_deg == pytest.approx(found["yaw_error_deg"], abs=1e-3)
 
 
-def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
+def test_all_slopes_are_checked_before_the_first_motion(path, capsys):
     daemon = Daemon(path, most=50.0)
     with serving(path, daemon):
         assert "the arm's x reaches" in refused(path, capsys, 1)
@@ -189,11 +189,11 @@ def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
     assert [round(math.degrees(each.at(each.duration).angles[0])) for each in ends] == [8, 26, 41, 59]
 
 
-def test_no_daemon(path, capsys):
+def test_a_missing_daemon_is_reported(path, capsys):
     assert "is a palmd running there" in refused(path, capsys, 3)
 
 
-def test_a_daemon_with_another_configuration(path, capsys):
+def test_a_daemon_with_another_configuration_is_refused(path, capsys):
     daemon = Daemon(path, hash="0" * 64)
     with serving(path, daemon):
         assert "another configuration" in refused(path, capsys, 1)
@@ -204,7 +204,7 @@ def test_a_daemon_with_another_configuration(path, capsys):
     ("command", "asked"),
     [("plan", ["plan"]), ("arm", ["plan", "arm"]), ("start", ["plan", "arm", "plan", "start", "hold", "stop"])],
 )
-def test_a_refusal_is_one_line_in_the_daemons_own_words(path, capsys, command, asked):
+def test_a_refusal_is_reported_in_one_line_with_the_daemons_text(path, capsys, command, asked):
     daemon = Daemon(path, refuses=(command,))
     with serving(path, daemon):
         assert (
@@ -214,35 +214,35 @@ def test_a_refusal_is_one_line_in_the_daemons_own_words(path, capsys, command, a
     assert daemon.asked == asked
 
 
-def test_nothing_rolls(path, capsys):
+def test_slopes_without_rolls_are_reported(path, capsys):
     daemon = Daemon(path, lazy=True)
     with serving(path, daemon):
-        said = refused(path, capsys, 3)
-    assert "palm 1, 8°: 0 good rolls of 13 needed" in said
-    assert said.endswith("nothing touches its pad")
+        message = refused(path, capsys, 3)
+    assert "palm 1, 8°: 0 good rolls of 13 needed" in message
+    assert message.endswith("nothing touches its pad")
     assert daemon.asked[-2:] == ["hold", "stop"]
 
 
-def test_what_lies_on_the_pads_keeps_the_palms_from_moving(path, capsys):
+def test_nothing_moves_while_something_touches_the_pads(path, capsys):
     daemon = Daemon(path, touched=True)
     with serving(path, daemon):
         assert "something touches the pads" in refused(path, capsys, 3)
     assert "start" not in daemon.asked
 
 
-def test_a_fault_that_nobody_mends_ends_it(path, capsys):
+def test_a_persistent_fault_ends_the_calibration(path, capsys):
     daemon = Daemon(path, fault_after=4)
     with serving(path, daemon):
         assert refused(path, capsys, 3) == "gravity: arm-estop: release it"
 
 
-def test_after_a_fault_that_is_mended_it_goes_on_with_the_rolls_it_has(path, capsys):
+def test_after_a_cleared_fault_it_continues_and_keeps_its_rolls(path, capsys):
     daemon = Daemon(path, fault_after=2)
 
     def mend():
-        daemon.fault_told.wait()
-        daemon.fault_told.clear()
-        daemon.fault_told.wait()  # it has been looked at since, and said
+        daemon.fault_reported.wait()
+        daemon.fault_reported.clear()
+        daemon.fault_reported.wait()  # the command has read and printed it by now
         daemon.state, daemon._rolling, daemon._fault_after = "tracking", False, None
 
     person = threading.Thread(target=mend)
@@ -255,7 +255,7 @@ def test_after_a_fault_that_is_mended_it_goes_on_with_the_rolls_it_has(path, cap
     assert "arm-estop: release it; after clearing it: palmd ctl reset, palmd ctl arm" in err
 
 
-def test_slopes_keep_to_the_limits():
+def test_slopes_are_within_the_limits():
     for phi1, phi2 in (((6, 150), (35, 155)), ((20, 70), (75, 105)), ((0, 60), (100, 160)), ((30, 180), (40, 80))):
         limits = LimitsConfig(phi1_deg=phi1, phi2_deg=phi2)
         found = list(slopes_within(limits, 40))
@@ -269,7 +269,7 @@ def test_slopes_keep_to_the_limits():
     assert str(Slope(2, (41.0, 110.0), 3)) == "palm 2, 29°"
 
 
-def test_an_exact_yaw_changes_nothing(path):
+def test_a_yaw_without_error_changes_no_setting(path):
     config = load_config(path)
     values = proposed_settings(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
     assert values == {
@@ -277,7 +277,7 @@ def test_an_exact_yaw_changes_nothing(path):
     }  # fmt: skip
 
 
-def test_what_a_person_should_look_into():
+def test_implausible_fits_cause_remarks():
     fit = GravityFit(9.8, 0.0, 0.003, 0.01, 1e-4, 1e-4, 1.0, (), 0)
     assert remarks(fit, "ball") == []
     assert "counts_per_mm, and that it is a ball" in remarks(replace(fit, g=9.9), "ball")[0]

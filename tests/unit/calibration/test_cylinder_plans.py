@@ -1,4 +1,4 @@
-"""The plans that turn a cylinder: within limits and pads for whatever cylinder, and refused in words otherwise."""
+"""Plans that turn a cylinder: within limits and pads for any cylinder, otherwise refused with the reason."""
 
 import itertools
 import math
@@ -24,7 +24,7 @@ def motion(plan, limits):
 
 @pytest.mark.parametrize("limits", [LIMITS, CAUTIOUS, NARROW], ids=["usual", "cautious", "narrow"])
 @pytest.mark.parametrize("radius_mm", [16.0, 20.0, 25.0, 30.0])
-def test_the_contacts_go_slowly_over_the_pads_both_ways(radius_mm, limits):
+def test_contacts_move_slowly_over_the_pads_in_both_directions(radius_mm, limits):
     poses = motion(turning_plan(radius_mm * 1e-3, limits), limits)
     s = contact_m(radius_mm * 1e-3, np.array([pose.angles[1] for pose in poses]))
     assert s.min() > PAD_MARGIN_M - 1e-4
@@ -34,12 +34,12 @@ def test_the_contacts_go_slowly_over_the_pads_both_ways(radius_mm, limits):
     opening = [pose.rates[1] for pose in poses]
     assert min(opening) < -0.05 < 0.05 < max(opening)
     least = min(min(share(math.degrees(pose.angles[0]), math.degrees(pose.angles[1]))) for pose in poses[::50])
-    assert least > 0.1, "both palms bear something of the weight"
+    assert least > 0.1, "both palms carry part of the weight"
 
 
 @pytest.mark.parametrize("limits", [LIMITS, CAUTIOUS, NARROW], ids=["usual", "cautious", "narrow"])
 @pytest.mark.parametrize("radius_mm", [12.0, 20.0, 30.0])
-def test_every_rest_is_come_to_from_both_sides_and_both_palms_bear_the_weight(radius_mm, limits):
+def test_every_rest_is_approached_from_both_sides_and_both_palms_carry_weight(radius_mm, limits):
     plan, rests = tipping_plan(radius_mm * 1e-3, limits, 2)
     motion(plan, limits)
     came = {}
@@ -63,19 +63,19 @@ def test_every_rest_is_come_to_from_both_sides_and_both_palms_bear_the_weight(ra
     ("radius_mm", "words"),
     [(2.0, "use a larger cylinder"), (80.0, "the radius is too large"), (300.0, "the radius is too large")],
 )
-def test_cylinders_that_cannot_be_moved_along_the_pads(radius_mm, words):
+def test_cylinders_that_cannot_be_moved_along_the_pads_are_refused(radius_mm, words):
     with pytest.raises(CylinderError, match=words):
         turning_plan(radius_mm * 1e-3, NARROW)
 
 
 @pytest.mark.parametrize("radius_m", [0.074, 0.5])
-def test_a_cylinder_that_would_lie_in_concave_palms_is_too_large(radius_m):
+def test_a_cylinder_that_would_nest_in_concave_palms_is_refused(radius_m):
     concave = replace(LIMITS, curvatures=(1 / 0.075, 1 / 0.075))
     with pytest.raises(CylinderError, match="nest in the concave palms, choose a smaller radius"):
         tipping_plan(radius_m, concave, 2)
 
 
-def test_limits_that_do_not_let_the_v_be_tipped():
+def test_limits_that_prevent_tipping_the_palms_are_refused():
     upright = MotionLimits.from_config(LimitsConfig(phi1_deg=(40.0, 50.0)), pad_length=0.0555)
     with pytest.raises(
         CylinderError, match=r"at phi2 = 70° the limits allow phi1 a range of 8° only.*widen limits.phi1_deg"

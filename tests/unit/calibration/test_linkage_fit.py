@@ -1,4 +1,4 @@
-"""The arm's linkage from poses: against a chain that is closed in another way, and what does not suffice."""
+"""Fit of the arm's linkage to poses, against an independent kinematic chain; insufficient data is refused."""
 
 import math
 
@@ -21,7 +21,7 @@ def swing(ranges, count):
 
 
 def poses(rng, base, length1, length2, tool, ranges=ALL_OVER, count=400, noise_m=ENCODER_M):
-    """What the arm reports, by complex numbers: from the base to the hinge, from there to the gripper."""
+    """Arm reports by complex numbers: from the base to the hinge, from there to the gripper."""
     palm1, opening = swing(ranges, count)
     hinge = complex(*base) + length1 * np.exp(1j * (palm1 + math.pi))
     grip = hinge + length2 * np.exp(1j * palm1) * np.exp(1j * opening)
@@ -31,7 +31,7 @@ def poses(rng, base, length1, length2, tool, ranges=ALL_OVER, count=400, noise_m
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_it_finds_the_linkage_it_was_given(seed):
+def test_the_fit_finds_the_simulated_linkage(seed):
     rng = np.random.default_rng(seed)
     base, lengths, tool = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.09, 0.15, 2), float(rng.uniform(-0.3, 0.3))
     fit = fit_linkage(poses(rng, base, *lengths, tool))
@@ -46,7 +46,7 @@ def test_it_finds_the_linkage_it_was_given(seed):
     assert math.degrees(fit.span_opening) == pytest.approx(120.0, abs=0.5)
 
 
-def test_the_sigmas_are_those_of_repeated_measurements():
+def test_the_sds_match_the_scatter_of_repeated_measurements():
     found = []
     for seed in range(60):
         fit = fit_linkage(poses(np.random.default_rng(seed), (0.4, 0.1), 0.12, 0.115, 0.05))
@@ -55,13 +55,13 @@ def test_the_sigmas_are_those_of_repeated_measurements():
     assert np.std(found, axis=0) == pytest.approx(sd, rel=0.35)
 
 
-def test_play_in_a_hinge_shows_in_what_is_left():
+def test_play_in_a_hinge_shows_in_the_residual():
     rough = fit_linkage(poses(np.random.default_rng(1), (0.4, 0.1), 0.12, 0.12, 0.0, noise_m=5e-4))
     assert rough.rms == pytest.approx(5e-4, rel=0.15)
 
 
 @pytest.mark.parametrize(
-    ("ranges", "said"),
+    ("ranges", "message"),
     [
         (((60.0, 60.0), (90.0, 90.0)), "palm 2 was swung through 0° only"),
         (((40.0, 50.0), (60.0, 120.0)), "palm 1 was swung through 10° only"),
@@ -70,12 +70,12 @@ def test_play_in_a_hinge_shows_in_what_is_left():
         (((40.0, 40.0), (60.0, 120.0)), "about one point"),
     ],
 )
-def test_too_little_swing_is_refused_by_what_is_missing(ranges, said):
-    with pytest.raises(TooLittleSwingError, match=said):
+def test_too_little_swing_is_refused_with_the_missing_motion(ranges, message):
+    with pytest.raises(TooLittleSwingError, match=message):
         fit_linkage(poses(np.random.default_rng(2), (0.4, 0.1), 0.12, 0.12, 0.02, ranges=ranges))
 
 
-def test_few_or_wild_poses_are_refused():
+def test_few_or_inconsistent_poses_are_refused():
     rng = np.random.default_rng(3)
     with pytest.raises(TooLittleSwingError, match="only 49 different poses"):
         fit_linkage(poses(rng, (0.4, 0.1), 0.12, 0.12, 0.0, count=MIN_POSES - 1))

@@ -1,4 +1,4 @@
-"""Both palms' curvature from a turned cylinder: against circles that touch circles, and against bad readings."""
+"""Both palms' curvature from a turned cylinder: against the geometry of circles, and with invalid readings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMITS = LimitsConfig(phi1_deg=(0.0, 110.0), phi2_deg=(60.0, 160.0))
 
 
 def places(radius: float, phi2: float, curvatures: tuple[float, float]) -> tuple[float, float]:
-    """Where a disc touches two arcs through the hinge: its centre is R − r (cradle) or R + r (dome) from each one's."""
+    """Contacts of a disc with two arcs through the hinge; its centre is R − r (cradle) or R + r (dome) from theirs."""
     centres = [(0.0, 1.0 / curvatures[0]), (math.sin(phi2) / curvatures[1], -math.cos(phi2) / curvatures[1])]
     away = [abs(1.0 / kappa - radius) for kappa in curvatures]
     (x1, y1), (x2, y2) = centres
@@ -42,11 +42,11 @@ def places(radius: float, phi2: float, curvatures: tuple[float, float]) -> tuple
             found.append(turn * (1 if not found else -1) / kappa)
         return found[0], found[1]
 
-    return min(s for s in (s_of(*at) for at in both) if s[0] > 0 and s[1] > 0)  # not the other one, farther out
+    return min(s for s in (s_of(*at) for at in both) if s[0] > 0 and s[1] > 0)  # the other intersection is farther out
 
 
 def heard(curvatures, zeros_mm=(0.0, 0.0), scale=(1.0, 1.0), seed=1, n=1500):
-    """What a daemon that believes the pads are as configured gives its observer."""
+    """What a daemon whose configuration assumes correct pads passes to its observer."""
     random = np.random.default_rng(seed)
     low, high = (opening_at(RADIUS_M, s, curvatures) for s in (0.045, 0.012))
     events = []
@@ -58,31 +58,31 @@ def heard(curvatures, zeros_mm=(0.0, 0.0), scale=(1.0, 1.0), seed=1, n=1500):
         for number, config in enumerate(CONFIGS, 1):
             mm = s[number - 1] * 1e3 + random.normal(0, 0.1) - zeros_mm[number - 1]
             counts = round(config.sign * config.counts_per_mm * scale[number - 1] * mm)
-            told = config.zero_mm + config.sign * counts / config.counts_per_mm
-            events.append(PadSample(t + 2e-3, number, told * 1e-3, 1.0))
+            position_mm = config.zero_mm + config.sign * counts / config.counts_per_mm
+            events.append(PadSample(t + 2e-3, number, position_mm * 1e-3, 1.0))
     return events
 
 
 @pytest.mark.parametrize("curvatures", [(13.3, 13.3), (16.0, 11.5), (-8.0, -11.0), (14.0, -9.0)])
-def test_known_curvatures_and_zeros_are_found_within_their_own_sd(curvatures):
+def test_curvatures_and_zeros_are_found_within_their_sd(curvatures):
     found = pad_curvatures(
         heard(curvatures, zeros_mm=(0.4, -0.3)), CONFIGS, RADIUS_M, [0.8 * each for each in curvatures]
     )
     for palm, kappa, zero in zip(found, curvatures, (0.4, -0.3), strict=True):
         assert abs(palm.curvature_per_m - kappa) < 4 * palm.curvature_sd_per_m
         assert abs(palm.curvature_per_m - kappa) < 0.1
-        assert palm.curvature_sd_per_m < 0.4  # most of it the scale's
+        assert palm.curvature_sd_per_m < 0.4  # mostly from the scale
         assert palm.zero_mm == pytest.approx(zero, abs=0.1)
         assert palm.noise_mm == pytest.approx(0.107, rel=0.1)
 
 
-def test_a_scale_that_is_off_is_in_the_error_that_is_told():
+def test_the_sd_covers_an_error_of_the_scale():
     curvatures = (13.3, 13.3)
     off = pad_curvatures(heard(curvatures, scale=(1.003, 1.0)), CONFIGS, RADIUS_M, curvatures)[0]
     assert 0.02 < abs(off.curvature_per_m - curvatures[0]) < 3 * off.curvature_sd_per_m
 
 
-def test_where_a_disc_touches_is_where_circles_touch_and_the_pads_scales_are_found_on_arcs_too():
+def test_contacts_follow_circle_geometry_and_scales_are_found_on_arcs():
     curvatures = (16.0, 11.5)
     phi2 = np.array([1.7, 2.0, 2.3])
     wanted = np.array([places(RADIUS_M, each, curvatures) for each in phi2]).T
@@ -103,17 +103,17 @@ def test_the_plan_keeps_the_cylinder_on_the_pads_of_a_cradle():
     assert np.ptp(s) > 0.02
 
 
-def test_counts_of_something_else_are_refused():
+def test_counts_that_do_not_follow_the_cylinder_are_refused():
     events = [each if not isinstance(each, PadSample) else PadSample(each.t_sample, each.pad, 0.02, 1.0)
               for each in heard((13.3, 13.3), n=1200)]  # fmt: skip
     with pytest.raises(CylinderError, match=r"counts|arcs|configuration"):
         pad_curvatures(events, CONFIGS, RADIUS_M, (13.3, 13.3))
 
 
-def test_what_is_said_of_it():
+def test_table_settings_and_remarks_of_a_result():
     found = pad_curvatures(heard((13.3, 12.0), zeros_mm=(0.5, 0.0)), CONFIGS, RADIUS_M, (13.0, 13.0))
-    told = table(found)
-    assert "palm 1: " in told
-    assert "mm concave" in told
+    printed = table(found)
+    assert "palm 1: " in printed
+    assert "mm concave" in printed
     assert set(proposed_settings(found)) == {"palm1_curvature_per_m", "palm2_curvature_per_m"}
     assert any("pad 1's zero has an error of" in each for each in remarks(found, default_config()))

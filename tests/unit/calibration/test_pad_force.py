@@ -1,4 +1,4 @@
-"""Newtons per count of both pads from a cylinder's weight: whatever friction does, and against bad readings."""
+"""Newtons per count of both pads from a cylinder's weight, for any friction and with invalid readings."""
 
 import itertools
 import math
@@ -37,7 +37,7 @@ def poses(rounds, limits=LIMITS):
 
 
 def balanced(phi1_deg, phi2_deg, held):
-    """N1, N2 with a friction of `held` along each palm: the two forces and the weight in balance."""
+    """N1, N2 from the balance of both forces and the weight, with a friction of `held` along each palm."""
     phi1, phi12 = math.radians(phi1_deg), math.radians(phi1_deg + phi2_deg)
     n = np.array([[-math.sin(phi1), math.sin(phi12)], [math.cos(phi1), -math.cos(phi12)]])
     along = np.array([math.cos(phi1) + math.cos(phi12), math.sin(phi1) + math.sin(phi12)])
@@ -55,7 +55,7 @@ def on_arcs(phi1_deg, phi2_deg, radii):
     along = (apart**2 + away[0] ** 2 - away[1] ** 2) / (2.0 * apart)
     across = math.sqrt(away[0] ** 2 - along**2)
     axis = centres[0] + (along * between + across * np.array([between[1], -between[0]])) / apart
-    assert np.linalg.norm(axis) < min(radii), "between the pads, not beyond their ends"
+    assert np.linalg.norm(axis) < min(radii), "the contacts lie on the pads"
     pushed = (centres - axis) / away[:, None]
     return np.linalg.solve(pushed.T, [0.0, WEIGHT_N])
 
@@ -71,9 +71,9 @@ def rested(
     believed=(0.0, 0.0),
     every_s=0.01,
 ):
-    """Events of rests one second long, `every_s`; `held` draws each one's friction as a share of the smaller force.
+    """Events of one-second rests, `every_s`; `held` draws the friction of each as a share of the smaller force.
 
-    On cradles of these `radii` (m), the limits and the evaluation going by `believed` curvatures (1/m).
+    On cradles of these `radii` (m); limits and evaluation use the `believed` curvatures (1/m).
     """
     rng = np.random.default_rng(3)
     events, t = [], 100.0
@@ -93,7 +93,7 @@ def rested(
                 pressed = max(forces[pad - 1] - offset_n[pad - 1], 0.0)
                 counts = round(gains[pad - 1] * pressed / true.newtons_per_count)
                 events.append(PadSample(t + every_s * k, pad, 0.028, counts * FINE[0].newtons_per_count))
-        for k in range(10):  # on the way to the next
+        for k in range(10):  # during the motion to the next rest
             events.append(PalmSample(t + 1.0 + 0.01 * k, angles, (0.3, 0.0), (0.0, 0.0)))
             events += [PadSample(t + 1.0 + 0.01 * k, pad, 0.028, FINE[0].newtons_per_count) for pad in (1, 2)]
         t += 1.5
@@ -122,7 +122,7 @@ def test_without_friction_the_gains_are_exact():
 @pytest.mark.parametrize(
     "held", [lambda rng: rng.uniform(-0.3, 0.3), lambda _: 0.2, lambda _: -0.2], ids=["any", "up", "down"]
 )
-def test_friction_that_nobody_knows_changes_nothing(held):
+def test_unknown_friction_does_not_bias_the_gains(held):
     found = rested(held=held)
     assert np.abs(gain_errors(found, TRUE)).max() < 5e-4
     assert found.friction > 0.1
@@ -130,13 +130,13 @@ def test_friction_that_nobody_knows_changes_nothing(held):
 
 
 @pytest.mark.parametrize("radii", [(0.075, 0.075), (0.09, 0.065)])
-def test_palms_that_are_arcs_are_weighed_by_their_tangents(radii):
+def test_curved_palms_are_evaluated_by_their_tangents(radii):
     found = rested(radii=radii, believed=tuple(1.0 / radius for radius in radii))
     assert [pad.newtons_per_count for pad in found.pads] == pytest.approx([8e-5, 1.2e-4], rel=2e-4)
     assert found.friction < 2e-3
 
 
-def test_the_creep_between_rounds_is_the_sd():
+def test_the_sd_reflects_the_creep_between_rounds():
     found = rested(rounds=40, creep=0.03, every_s=0.03)
     for pad, error in zip(found.pads, gain_errors(found, TRUE), strict=True):
         share_sd = pad.newtons_per_count_sd / pad.newtons_per_count
@@ -144,13 +144,13 @@ def test_the_creep_between_rounds_is_the_sd():
         assert abs(error) < 4.0 * share_sd
 
 
-def test_a_pad_that_feels_nothing_of_the_first_newtons_is_told():
+def test_a_pads_force_offset_is_found():
     found = rested(offset_n=(0.15, 0.0))
     assert found.pads[0].offset_n == pytest.approx(0.15, abs=2e-3)
     assert found.pads[1].offset_n == pytest.approx(0.0, abs=2e-3)
 
 
-def test_the_plant_s_weight_is_weighed_in_spite_of_its_friction_and_hysteresis():
+def test_gains_are_found_despite_the_plants_friction_and_hysteresis():
     plan, rests = tipping_plan(RADIUS_M, LIMITS, 2)
     errors = []
     for seed in (6, 7):
@@ -160,7 +160,7 @@ def test_the_plant_s_weight_is_weighed_in_spite_of_its_friction_and_hysteresis()
         assert found.pads[0].saturated == found.pads[1].saturated == 0
         errors += gain_errors(found)
     assert np.abs(errors).max() < 0.005
-    assert abs(np.mean(errors)) < 0.0025, "a hysteresis of 2 % is averaged"
+    assert abs(np.mean(errors)) < 0.0025, "a hysteresis of 2 % averages out"
 
 
 def test_swapped_pads_are_refused():
@@ -173,7 +173,7 @@ def test_swapped_pads_are_refused():
     assert "check for swapped pads" in refused(change=swap)
 
 
-def test_a_rest_at_full_scale_is_left_out():
+def test_a_rest_at_full_scale_is_excluded():
     def saturate(events):
         heavy = max(each.force for each in events if isinstance(each, PadSample) and each.pad == 2)
         return [

@@ -1,4 +1,4 @@
-"""How high pads lie above the hinge line, from two turned cylinders: against the emulated plant, off in every way."""
+"""Height of the pads above the hinge line from two turned cylinders, against the emulated plant with all its errors."""
 
 import math
 
@@ -37,7 +37,7 @@ def off():
     return heard(OFF)
 
 
-def test_standoffs_are_told_from_scales_though_all_else_is_off_too(off):
+def test_standoffs_and_scales_are_separated_despite_all_other_errors(off):
     found = pad_standoffs(off, CONFIGURED, RADII_M, ANGLE_SD_RAD)
     for pad, true, configured in zip(found, OFF.pads, TRUE, strict=True):
         assert pad.standoff_sd_mm < 0.03
@@ -46,11 +46,13 @@ def test_standoffs_are_told_from_scales_though_all_else_is_off_too(off):
         assert scale == pytest.approx(true.scale, abs=3.0 * pad.scale_sd)
         assert pad.scale_sd < 0.003
         assert pad.noise_mm == pytest.approx(0.107, rel=0.05)
-    alone, _ = pad_scales(off[0], CONFIGURED, RADII_M[0])  # to one cylinder a standoff is a longer millimetre
+    alone, _ = pad_scales(
+        off[0], CONFIGURED, RADII_M[0]
+    )  # with one cylinder a standoff is not distinguishable from a scale error
     assert alone.counts_per_mm / TRUE[0].counts_per_mm - 1.0 > 0.005
 
 
-def test_what_is_told_is_off_by_what_its_sd_says():
+def test_errors_match_their_sds():
     z = []
     for seed in range(2):
         random = np.random.default_rng(seed)
@@ -60,17 +62,17 @@ def test_what_is_told_is_off_by_what_its_sd_says():
     assert np.mean(np.square(z)) < 4.0
 
 
-def test_two_that_are_no_such_cylinders_are_refused(off):
+def test_readings_of_other_cylinders_are_refused(off):
     with pytest.raises(CylinderError, match="was the plan stopped"):
         pad_standoffs([off[0], off[1][-3500:]], CONFIGURED, RADII_M, ANGLE_SD_RAD)
 
 
-def test_what_is_said_of_a_pad_that_lies_too_high(off):
+def test_remarks_say_how_to_move_a_pad(off):
     found = pad_standoffs(off, CONFIGURED, RADII_M, ANGLE_SD_RAD)
     config = Config.model_validate({"pads": {"palm1": {"port": "a"}, "palm2": {"port": "b"}}, "arm": {"port": "c"}})
     high, low = remarks(found, config)
     assert "above the hinge line, seen from the object: lower it by that" in high
     assert "below the hinge line, seen from the object: raise it by that" in low
     settings = proposed_settings(found)
-    for i, pad in enumerate(found, 1):  # a standoff stays until it is shimmed
+    for i, pad in enumerate(found, 1):  # the standoff remains until the pad is shimmed
         assert settings[f"palm{i}"]["standoff_sd_mm"] >= abs(pad.standoff_mm)

@@ -1,4 +1,4 @@
-"""`palmd calibrate height`: a cylinder dragged over a pad that is not where the arm has it tells by how much."""
+"""`palmd calibrate height`: a cylinder dragged over a pad shows how far the pad is from where the arm assumes it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ CALIBRATED = PivotRig(
 
 
 def dragged(height_m=0.0, along_m=0.0, off_axis_m=7e-3, slope=0.0, bow_m=0.0, seed=1, turns=0.8, end=0.0):
-    """Both sides of the dead centre lowered and raised for 6 s each, the arm dragging to and fro; as a daemon has it.
+    """Drag a cylinder to and fro while lowering and raising it for 6 s each on both sides of the dead centre.
 
-    The pad's middle is `height_m` higher than the arm has it, and tells `along_m` more than the arm; `end` of each
-    reading is thrown anywhere.
+    The pad's middle is `height_m` higher than the arm assumes, and its readings are `along_m` larger; a share `end` of
+    the readings is replaced by random places. The events are those of a daemon.
     """
     random, events = np.random.default_rng(seed), []
     for k in range(1200):
@@ -41,7 +41,7 @@ def dragged(height_m=0.0, along_m=0.0, off_axis_m=7e-3, slope=0.0, bow_m=0.0, se
         x = LENGTH_M / 2 + 0.012 * math.sin(1.3 * t)
         share = (x + e) / LENGTH_M
         surface = height_m + slope * (x + e - LENGTH_M / 2) - bow_m * (1 - 2 * share) ** 2
-        z = h + surface - e * (slope + 4 * bow_m / LENGTH_M * (1 - 2 * share))  # over the tangent's foot under it
+        z = h + surface - e * (slope + 4 * bow_m / LENGTH_M * (1 - 2 * share))  # over the foot of the tangent below it
         events.append(PalmSample(t, (x + random.normal(0, 2e-5), z + random.normal(0, 2e-5)), (0.0, 0.0)))
         s = random.uniform(0.0, LENGTH_M) if random.random() < end else x + e + along_m + random.normal(0, 1e-4)
         events.append(PadSample(t, 1, round(s / 1.27e-4) * 1.27e-4, 0.5))
@@ -49,7 +49,7 @@ def dragged(height_m=0.0, along_m=0.0, off_axis_m=7e-3, slope=0.0, bow_m=0.0, se
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_height_and_place_come_out_within_their_own_sd(seed: int) -> None:
+def test_height_and_place_are_found_within_their_sd(seed: int) -> None:
     random = np.random.default_rng(100 + seed)
     height, along = random.uniform(-8e-4, 8e-4, 2)
     slope, bow = random.normal(0.0, math.radians(0.1)), random.normal(0.0, 5e-5)
@@ -63,7 +63,7 @@ def test_height_and_place_come_out_within_their_own_sd(seed: int) -> None:
     assert found.spoilt < 40
 
 
-def test_a_radius_that_is_wrong_is_a_height_that_is_wrong_by_as_much() -> None:
+def test_an_error_of_the_radius_is_an_equal_error_of_the_height() -> None:
     one, other = (pivot_height(dragged(), CALIBRATED, radius) for radius in (RADIUS_M, RADIUS_M + 1e-4))
     assert one.height_mm - other.height_mm == pytest.approx(0.1, abs=1e-6)
 
@@ -81,14 +81,14 @@ def test_a_radius_that_is_wrong_is_a_height_that_is_wrong_by_as_much() -> None:
     ],
     ids=["few", "on its axis", "hardly turned", "no height", "not round"],
 )  # fmt: skip
-def test_readings_that_do_not_tell_it_are_refused_in_words(events, why) -> None:
+def test_readings_that_do_not_determine_the_height_are_refused_with_the_reason(events, why) -> None:
     with pytest.raises(HeightError, match=why):
         pivot_height(events, CALIBRATED, RADIUS_M)
 
 
 @pytest.fixture
 def rig(tmp_path):
-    """A configuration beside an event log of that cylinder, its pad 0.3 mm higher than the arm has it."""
+    """A configuration and an event log of that cylinder; its pad is 0.3 mm higher than the arm assumes."""
     config = tmp_path / "my.yaml"
     config.write_text(
         shipped("pivot.yaml").read_text().replace("plans/", str(shipped("pivot.yaml").parent) + "/plans/")
@@ -106,22 +106,22 @@ def rig(tmp_path):
     return config, log
 
 
-def test_the_command_says_what_to_write_and_stores_it(rig, capsys) -> None:
+def test_the_command_prints_and_stores_the_settings(rig, capsys) -> None:
     config, log = rig
     assert main(["calibrate", "height", str(config), str(log), "--radius-mm", "18"]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     stored = yaml.safe_load((config.parent / "calibration" / "height.yaml").read_text())
     called = stored["configuration"]
     before = load_any_config(config)
     assert called["arm"]["base_y_mm"] == pytest.approx(before.arm.base_y_mm - 0.3, abs=0.03)
     assert called["arm"]["base_x_mm"] == pytest.approx(before.arm.base_x_mm - 0.1, abs=0.03)
     assert 0.0 < called["pads"]["palm1"]["standoff_sd_mm"] < 0.02
-    assert f"base_y_mm: {called['arm']['base_y_mm']}" in said
+    assert f"base_y_mm: {called['arm']['base_y_mm']}" in message
     assert stored["settings_sha256"] == config_hash(before.arm.model_copy(update=called["arm"]))
     assert pivot_rig(before).pad.standoff_sd > called["pads"]["palm1"]["standoff_sd_mm"] * 1e-3
 
 
-def test_what_is_of_no_pivoting_grasp_is_refused_and_nothing_written(rig, capsys) -> None:
+def test_input_of_another_system_is_refused_and_nothing_is_written(rig, capsys) -> None:
     config, log = rig
     assert main(["calibrate", "height", str(shipped("cradle.yaml")), str(log), "--radius-mm", "18"]) != 0
     assert "not of a pivoting grasp" in capsys.readouterr().err

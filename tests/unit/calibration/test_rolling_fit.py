@@ -1,4 +1,4 @@
-"""Gravity from rolls: against rolls by forces and torques in small steps, and what is no roll."""
+"""Gravity from rolls, against rolls integrated from forces and torques, and input that contains no rolls."""
 
 import math
 
@@ -13,7 +13,7 @@ POSES = [(1, 8.0, 110.0, 13), (1, 26.0, 110.0, 40), (2, 41.0, 110.0, 40), (2, 59
 
 
 def session(rng, poses=POSES, **truth):
-    """The rolls of a whole calibration, and how many were no rolls."""
+    """The rolls of a whole calibration, and the numbers of rejected ones."""
     good, too_short, rough = [], 0, 0
     for pad, phi1_deg, phi2_deg, count in poses:
         events, t = [standing(phi1_deg, phi2_deg)], 0.0
@@ -43,7 +43,7 @@ def test_gravity_and_yaw_are_found_within_the_stated_tolerance(seed):
     assert fit.inconsistent <= 1
 
 
-def test_how_its_beginning_is_found_biases_no_roll_by_a_fifth_of_the_tolerance():
+def test_detecting_a_rolls_start_biases_it_by_less_than_a_fifth_of_the_tolerance():
     good, _, _ = session(np.random.default_rng(11), [(1, 8.0, 110.0, 500)], g=9.81, yaw_error=0.0)
     true = -9.81 * (math.sin(math.radians(8.0)) - 0.003 * math.cos(math.radians(8.0))) / 1.4
     wrong = np.array([each.a / true - 1.0 for each in good])
@@ -51,12 +51,12 @@ def test_how_its_beginning_is_found_biases_no_roll_by_a_fifth_of_the_tolerance()
     assert abs(wrong.mean()) < 0.001  # three sigma of that mean
 
 
-def test_the_other_roller_would_be_noticed():
+def test_the_wrong_roller_gives_a_wrong_gravity():
     good, _, _ = session(np.random.default_rng(1), g=9.81, yaw_error=0.01)
     assert fit_gravity(good, "cylinder").g == pytest.approx(9.81 * 15 / 14, rel=0.01)
 
 
-def test_a_pushed_or_slipping_roll_is_left_out_and_counted():
+def test_a_pushed_or_slipping_roll_is_excluded_and_counted():
     rng = np.random.default_rng(2)
     good, _, _ = session(rng, g=9.81, yaw_error=0.0)
     slid, _, _ = session(rng, [(1, 26.0, 110.0, 3)], g=9.81, yaw_error=0.0, inertia=0.0)
@@ -65,17 +65,17 @@ def test_a_pushed_or_slipping_roll_is_left_out_and_counted():
     assert fit.g == pytest.approx(9.81, rel=0.005)
 
 
-def test_spoilt_readings_of_a_roll_are_left_out():
+def test_outliers_of_a_roll_are_excluded():
     rng = np.random.default_rng(3)
     events, _ = rolled(rng, 1, 15.0, 110.0, 9.81, 0.0)
     ((clean,), _) = find_rolls([standing(15.0, 110.0), *events])
     s = clean.s.copy()
     s[-5] += 2e-3
     s[-9] -= 2e-3
-    spoilt = accelerate(Roll(1, clean.phi, clean.rest, clean.t, s), READING_SD)
+    corrupted = accelerate(Roll(1, clean.phi, clean.rest, clean.t, s), READING_SD)
     unspoilt = accelerate(clean, READING_SD)
-    assert spoilt.left_out == unspoilt.left_out + 2
-    assert spoilt.a == pytest.approx(unspoilt.a, rel=0.02)
+    assert corrupted.left_out == unspoilt.left_out + 2
+    assert corrupted.a == pytest.approx(unspoilt.a, rel=0.02)
 
 
 def reported(times, places, pad=1):
@@ -91,23 +91,23 @@ T = np.arange(0.0, 1.0, 0.01)
 @pytest.mark.parametrize(
     ("places", "short"),
     [
-        (np.full_like(T, 0.05), 0),  # it lies there
-        (0.01 + 0.04 * T, 0),  # up
+        (np.full_like(T, 0.05), 0),  # at rest
+        (0.01 + 0.04 * T, 0),  # upwards
         (0.05 - 0.01 * T, 1),  # not far enough
     ],
 )
-def test_what_does_not_roll_down_is_no_roll(places, short):
+def test_motion_other_than_rolling_down_is_not_a_roll(places, short):
     assert find_rolls(reported(T, places)) == ([], short)
 
 
-def test_a_hand_that_leads_the_roller_is_not_taken_for_gravity():
+def test_a_roller_guided_by_hand_is_rejected():
     led = 0.045 - 0.03 * T - 0.004 * np.sin(7.0 * T)
     rolls, _ = find_rolls(reported(T, led))
     assert len(rolls) == 1
     assert accelerate(rolls[0], READING_SD) is None
 
 
-def test_only_the_part_on_one_pad_counts():
+def test_a_roll_ends_at_the_pads_end():
     fall = 0.052 - 0.5 * np.clip(T - 0.1, 0.0, None) ** 2
     events = reported(T, fall)
     met = sorted([*events, PadSample(0.325, 2, 0.01, 0.1)], key=lambda event: event.t_sample)
@@ -116,7 +116,7 @@ def test_only_the_part_on_one_pad_counts():
     assert part.t[-1] == pytest.approx(0.32)
 
 
-def test_a_touch_ends_with_silence_and_without_palms_there_is_nothing():
+def test_silence_ends_a_roll_and_palm_angles_are_required():
     times = T[:32]
     fall = 0.052 - 0.5 * np.clip(times - 0.1, 0.0, None) ** 2
     late = np.where(times > 0.245, times + 0.2, times)
@@ -125,7 +125,7 @@ def test_a_touch_ends_with_silence_and_without_palms_there_is_nothing():
     assert find_rolls(reported(times, fall)[1:]) == ([], 0)
 
 
-def test_too_few_rolls_or_slopes_are_refused_by_what_is_missing():
+def test_too_few_rolls_or_slopes_are_refused_with_what_is_missing():
     rng = np.random.default_rng(4)
     truth = {"g": 9.81, "yaw_error": 0.0}
     with pytest.raises(TooFewRollsError, match="0 of at least 4 good rolls on palm 1"):

@@ -1,4 +1,4 @@
-"""`palmd calibrate self`: runs on a rig that is not as configured tell the values that make it so, and no more."""
+"""`palmd calibrate self`: runs on a mis-calibrated rig determine the settings that correct it."""
 
 import json
 import math
@@ -29,7 +29,7 @@ from palmd.yamlfile import load_config
 
 
 def priors_of(rig):
-    """As a reconstruction has them: small, and not zero, where a constant is known."""
+    """Priors as in a reconstruction: small, but not zero, where a constant is known."""
     return RigBelief.of(rig).described_sd
 
 
@@ -39,16 +39,16 @@ TRUTH = {"pad1_zero_m": BIAS_M[0], "pad2_zero_m": BIAS_M[1], "phi1_rad": TILT}
 
 
 def fit_of(left, **values):
-    """A fit whose constants are all told but for this share of their priors."""
+    """A fit whose constants have this share of their prior sds left."""
     found = np.zeros(RIG_CONSTANTS)
     for name, value in values.items():
         found[RIG_NAMES.index(name)] = value
     return RigFit(found, np.diag((left * PRIORS) ** 2), PRIORS)
 
 
-def test_information_of_runs_adds_up_and_the_prior_counts_once():
+def test_the_information_of_runs_adds_up_and_the_prior_counts_once():
     random = np.random.default_rng(1)
-    told = [random.normal(size=(20, RIG_CONSTANTS)) / PRIORS for _ in range(3)]
+    sensitivities = [random.normal(size=(20, RIG_CONSTANTS)) / PRIORS for _ in range(3)]
     truth = PRIORS * random.normal(size=RIG_CONSTANTS)
     wide = PRIORS * np.where(np.arange(RIG_CONSTANTS) == R.ZERO, 10.0, 1.0)
 
@@ -56,16 +56,16 @@ def test_information_of_runs_adds_up_and_the_prior_counts_once():
         covariance = np.linalg.inv(np.diag(prior**-2) + rows.T @ rows)
         return covariance @ (rows.T @ (rows @ truth)), covariance
 
-    mean, covariance = posterior(np.vstack(told), PRIORS)
+    mean, covariance = posterior(np.vstack(sensitivities), PRIORS)
     fit = combined(
-        [(*posterior(rows, sds), sds) for rows, sds in zip(told, (PRIORS, wide, PRIORS), strict=True)], PRIORS
+        [(*posterior(rows, sds), sds) for rows, sds in zip(sensitivities, (PRIORS, wide, PRIORS), strict=True)], PRIORS
     )
     assert fit.values / PRIORS == pytest.approx(mean / PRIORS, abs=1e-9)
     assert fit.covariance / np.outer(PRIORS, PRIORS) == pytest.approx(covariance / np.outer(PRIORS, PRIORS), abs=1e-9)
 
 
-def test_what_only_all_runs_together_contradict_is_taken_for_unknown():
-    """A zero that is 5.4 of its one-sigmas off, of which each run tells a fifth of what was known beforehand."""
+def test_a_constant_contradicted_by_all_runs_together_gets_a_wide_prior():
+    """A zero with an error of 5.4 one-sigmas, of which each run determines a fifth of the prior information."""
     covariance, rig = np.diag(PRIORS**2), RigDescription().known_to(AS_CALIBRATED)
     covariance[R.ZERO, R.ZERO] /= 1.2
     off = np.where(np.arange(RIG_CONSTANTS) == R.ZERO, 0.9 * PRIORS, 0.0)
@@ -77,7 +77,7 @@ def test_what_only_all_runs_together_contradict_is_taken_for_unknown():
     assert together.values[R.ZERO] == pytest.approx(5.4 * PRIORS[R.ZERO], rel=0.02)
 
 
-def test_what_runs_do_not_tell_stays_as_it_is():
+def test_settings_that_the_runs_do_not_determine_are_unchanged():
     config = load(TEXT)
     assert proposed_settings(fit_of(0.7, pad1_zero_m=3e-4, phi1_rad=0.01), config) == {}
     only = fit_of(0.7, pad1_zero_m=3e-4, pad2_zero_m=-2e-4)
@@ -85,16 +85,16 @@ def test_what_runs_do_not_tell_stays_as_it_is():
     assert proposed_settings(only, config) == {"pads.palm2": {"zero_mm": 28.2, "zero_sd_mm": 0.02}}
 
 
-def test_the_one_sigmas_claim_no_more_than_the_runs_though_they_count_as_independent():
+def test_independent_sds_contain_no_more_information_than_the_runs():
     fit = fit_of(0.1)
     one, other = R.ZERO, R.SCALE
     fit.covariance[one, other] = fit.covariance[other, one] = 0.9 * fit.sds[one] * fit.sds[other]
-    claimed = np.diag(fit.independent_sds**2)
-    assert np.linalg.eigvalsh((claimed - fit.covariance) / np.outer(PRIORS, PRIORS)).min() > -1e-12
+    independent = np.diag(fit.independent_sds**2)
+    assert np.linalg.eigvalsh((independent - fit.covariance) / np.outer(PRIORS, PRIORS)).min() > -1e-12
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_pad_as_proposed_reads_where_it_is_touched(sign):
+def test_a_pad_with_the_proposed_settings_reads_the_true_place(sign):
     zero, scale, counts = 3e-4, 0.02, 57.0
     config = load(TEXT.replace("port: p2", f"port: p2, sign: {sign}"))
     before = config.pads.palm2
@@ -106,7 +106,7 @@ def test_a_pad_as_proposed_reads_where_it_is_touched(sign):
     assert (after.zero_sd_mm, after.scale_sd) == (0.01, 3e-4)
 
 
-def test_palms_as_proposed_are_as_steep_as_they_are():
+def test_the_proposed_settings_give_the_true_palm_angles():
     config = load(TEXT)
     pose = RigGeometry.from_config(config).arm_pose((0.8, 1.6))
     after = applied(config, proposed_settings(fit_of(0.1, phi1_rad=0.01), config))
@@ -139,7 +139,7 @@ def written(path, lines):
 
 @pytest.fixture(scope="module")
 def misjudged(tmp_path_factory):
-    """A configuration, and a run on a rig whose zeros and yaw are others than it says."""
+    """A configuration, and a run on a rig with other zeros and another yaw."""
     folder = tmp_path_factory.mktemp("self")
     zeros = Imperfections(tuple(PadImperfection(zero=zero) for zero in BIAS_M))
     lines, _ = simulate_log("rig", 1, 20.0, imperfections=zeros)
@@ -154,14 +154,14 @@ def misjudged(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def proposed(misjudged):
-    """What is proposed for it."""
+    """The proposal for it."""
     config, run = misjudged
     assert main(["calibrate", "self", str(config), str(run)]) == 0
     return yaml.safe_load((config.parent / FOUND).read_text())
 
 
 def read_again(event, before, after):
-    """What palmd would have been told of the same bytes with the configuration `after`."""
+    """The event that palmd would have read from the same bytes with the configuration `after`."""
     if isinstance(event, PadSample):
         old, new = before.pads.of(event.pad), after.pads.of(event.pad)
         counts = (event.s * 1e3 - old.zero_mm) * old.counts_per_mm
@@ -170,7 +170,7 @@ def read_again(event, before, after):
     return replace(event, angles=RigGeometry.from_config(after).palm_angles(x, y))
 
 
-def test_what_is_off_is_told(proposed):
+def test_errors_of_the_configuration_are_found(proposed):
     found = proposed["found"]
     for name, value in TRUTH.items():
         assert found[name]["told"], name
@@ -178,19 +178,20 @@ def test_what_is_off_is_told(proposed):
 
 
 def test_degenerate_directions_keep_their_prior(misjudged, proposed):
-    """Neither how large everything is about the hinge, nor how high the surfaces lie, can be told by readings."""
+    """Readings determine neither the overall scale about the hinge nor the pads' standoff."""
     config = load_config(misjudged[0])
     priors = priors_of(rig_description(config))
-    claimed = priors_of(rig_description(applied(config, proposed["configuration"])))
+    proposed_priors = priors_of(rig_description(applied(config, proposed["configuration"])))
     magnification, standoff = np.zeros(RIG_CONSTANTS), np.zeros(RIG_CONSTANTS)
     magnification[R.SCALE : R.SCALE + 2] = standoff[R.STANDOFF : R.STANDOFF + 2] = math.sqrt(0.5)
     for direction in (magnification, standoff):
-        assert direction @ ((priors / claimed) ** 2 * direction) == pytest.approx(1.0)
+        assert direction @ ((priors / proposed_priors) ** 2 * direction) == pytest.approx(1.0)
     names = {"pad1_scale", "pad2_scale", "pad1_standoff_m", "pad2_standoff_m"}
-    assert {name for name in names if proposed["found"][name]["told"]} == set()
+    assert {name for name in names if proposed["found"][name]["determined"]} == set()
+    assert all(each["told"] == each["determined"] for each in proposed["found"].values()), "until 2.0"
 
 
-def test_with_what_is_proposed_nothing_is_left(misjudged, proposed, tmp_path):
+def test_after_applying_the_proposal_no_error_is_left(misjudged, proposed, tmp_path):
     before = load_config(misjudged[0])
     after = applied(before, proposed["configuration"])
     assert proposed["settings_sha256"] == config_hash(after)
@@ -206,7 +207,7 @@ def test_with_what_is_proposed_nothing_is_left(misjudged, proposed, tmp_path):
         assert abs(again[name]["value"]) < 2 * again[name]["sd"], name
 
 
-# ---- what is refused --------------------------------------------------------------------------------------
+# ---- refused input ----------------------------------------------------------------------------------------
 
 
 def refused(capsys, *arguments):
@@ -214,7 +215,7 @@ def refused(capsys, *arguments):
     return capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_run_that_is_given_twice_is_refused(misjudged, capsys):
+def test_a_run_given_twice_is_refused(misjudged, capsys):
     config, run = misjudged
     assert "a run is given twice" in refused(capsys, config, run, run)
 
@@ -222,9 +223,9 @@ def test_a_run_that_is_given_twice_is_refused(misjudged, capsys):
 def test_a_log_of_another_rig_is_refused(misjudged, tmp_path, capsys):
     config = tmp_path / "palmd.yaml"
     config.write_text(TEXT.format(length=130.0))
-    said = refused(capsys, config, misjudged[1])
-    assert said.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
-    assert f"but {config} has 130.0" in said
+    message = refused(capsys, config, misjudged[1])
+    assert message.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
+    assert f"but {config} has 130.0" in message
 
 
 def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
@@ -238,7 +239,7 @@ def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
     assert "no run was reconstructed" in refused(capsys, config, run)  # it holds five ticks
 
 
-def test_runs_that_tell_nothing_are_refused_and_leave_nothing(misjudged, tmp_path, capsys):
+def test_runs_without_a_reconstruction_are_refused_and_nothing_is_stored(misjudged, tmp_path, capsys):
     config, run = (Path(shutil.copy(path, tmp_path)) for path in misjudged)
     short = written(tmp_path / "short.jsonl", map(json.loads, run.read_text().splitlines()[:60]))
     assert "no run was reconstructed" in refused(capsys, config, short)

@@ -42,7 +42,7 @@ MISTAKES = (
      "palmd estimate: error: argument --observer: there is no observer 'kalman'; choose from shape, extended, "
      "quasistatic"),
     ("estimate run.jsonl", 2, "palmd estimate: error: the following arguments are required: -o/--output"),
-    ("rig --mischief explode", 1,
+    ("rig --inject explode", 1,
      "unknown fault 'explode'; known: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, "
      "power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, "
      "overflow"),

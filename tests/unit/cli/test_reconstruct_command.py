@@ -20,7 +20,7 @@ SECONDS = 2.5
 FIELDS = {
     "verdict", "converged", "coverage", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m",
     "mu", "mu_sd", "visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg", "mass_kg", "mass_sd_kg",
-    "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "looks_like",
+    "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "shape_class", "looks_like",
 }  # fmt: skip
 
 
@@ -70,11 +70,12 @@ def test_the_result_has_the_fields_of_the_contract():
     assert line["sides"] == []
     told = as_line(answer(sides=np.array([[0.5, 0.012, 0.002]])), unweighed())
     assert told["sides"] == [{"normal_rad": 0.5, "length_m": 0.012, "length_sd_m": 0.002}]
-    assert line["looks_like"]["name"] is None
+    assert line["shape_class"]["name"] is None
+    assert line["looks_like"] == line["shape_class"]
     assert "flat side or bridged dent of 12.0 ± 2.0 mm, explains 0.0 s between 0.1 and 0.2 s" in two_palms.summary(
         answer(sides=np.array([[0.5, 0.012, 0.002]]))
     )
-    assert as_line(nothing(), unweighed())["looks_like"] is None
+    assert as_line(nothing(), unweighed())["shape_class"] is None
     assert line["contradicted"] == {"pad2_zero_m": 6.0}
     assert line["trajectory"] == {
         "t": [0.1, 0.2], "psi_rad": [0.1, 0.2], "omega0_rad_s": [0.2, 0.4], "r1_m": [0.1, 0.2], "r2_m": [0.1, 0.2]

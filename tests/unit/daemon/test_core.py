@@ -368,9 +368,10 @@ def test_status_tells_where_things_stand(running):
     assert (status["plan"], status["doing"], status["arm_state"]) == ("swing", "sine", "T")
     assert status["moving"] is True
     assert status["faults"] == []
-    assert status["wish"] == ""
+    assert status["requested_state"] == ""
     running.do("hold")
-    assert running.do("status")["wish"] == "hold"
+    status = running.do("status")
+    assert status["wish"] == status["requested_state"] == "hold"
 
 
 # ---- what is kept of a run
@@ -435,11 +436,11 @@ def test_the_rigs_constants_are_published_when_the_smoother_has_answered_and_eac
     told = {t: dict(core.step(t)).get(RIG) for t in (0.01, 0.02, 0.03, 0.04, 0.9, 1.03, 1.04)}
     assert [t for t, fields in told.items() if fields] == [0.01, 0.03, 1.03]
     first, now, again = (told[t] for t in (0.01, 0.03, 1.03))
-    assert (first["pad2_zero_m"], first["off"]) == (0.0, [])
+    assert (first["pad2_zero_m"], first["contradictions"]) == (0.0, [])
     assert list(first["sd"].values()) == first["prior_sd"] == now["prior_sd"]
     assert now["sd"]["pad2_zero_m"] == 3e-5
     assert now["prior_sd"][1] == pytest.approx(1e-4)
-    assert now["off"] == ["pad 2's zero seems +0.30 ± 0.03 mm off: palmd calibrate self finds its zero_mm"]
+    assert now["contradictions"] == ["pad 2's zero seems +0.30 ± 0.03 mm off: palmd calibrate self finds its zero_mm"]
     assert again == now
 
 
@@ -1048,7 +1049,7 @@ def test_a_pad_that_falls_silent_between_two_ticks_brakes_the_next_set_point(run
 
 def test_a_silence_of_a_moment_between_two_ticks_holds_and_tells_why_though_its_faults_never_show(running):
     held = interrupted(running)
-    assert (held["state"], held["faults"], held["wish"]) == ("hold", [], "")
+    assert (held["state"], held["faults"], held["requested_state"]) == ("hold", [], "")
     assert re.search(r"pad 1.* \(its last packet is .* old.*\)", held["cause"])
     operator = Operator()
     operator.take("palm/state", held)
@@ -1067,7 +1068,7 @@ def interrupted(bench):
 
 def test_whoever_asks_for_a_hold_or_a_stop_is_told_until_somebody_goes_on(running):
     def wish():
-        return running.go(0.02).last("palm/state")["wish"]
+        return running.go(0.02).last("palm/state")["requested_state"]
 
     running.unplug("pad1")
     assert (running.go(0.02).state, wish()) == ("hold", "")

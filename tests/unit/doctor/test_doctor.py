@@ -302,7 +302,7 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
 
     def serve():
         while not over.wait(0.002):
-            server.publish(RIG, {"off": off}, 0.0, 0.0)
+            server.publish(RIG, {"contradictions": off}, 0.0, 0.0)
             for request in server.receive():
                 server.reply(Reply(request, None, status))
 

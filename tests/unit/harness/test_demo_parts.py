@@ -25,7 +25,7 @@ def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0, wish
     given = []
     for i in range(round((until - since) / 0.1)):
         t = since + 0.1 * i
-        operator.take("palm/state", {"state": state, "severities": list(severities), "wish": wish})
+        operator.take("palm/state", {"state": state, "severities": list(severities), "requested_state": wish})
         operator.take("palm/motion", {"segment": segment})
         command = operator.decide(t)
         if command:
@@ -59,7 +59,7 @@ def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
 
 def seen(operator, *states, wish=""):
     for state, *severities in states:
-        operator.take("palm/state", {"state": state, "severities": severities, "wish": wish})
+        operator.take("palm/state", {"state": state, "severities": severities, "requested_state": wish})
 
 
 @pytest.mark.parametrize(("wish", "state"), [("hold", "hold"), ("stop", "ready")])
@@ -102,14 +102,22 @@ class LateBus:
     def until(self, t_end):
         while self.t < t_end:
             self.t += 0.01
-            self._published.append((self.t, "palm/state", {"state": self.state, "severities": [], "wish": self.wish}))
+            self._published.append(
+                (self.t, "palm/state", {"state": self.state, "severities": [], "requested_state": self.wish})
+            )
             self._published.append((self.t, "palm/motion", {"segment": self.segment}))
             while self._published and self._published[0][0] <= self.t - self._late_s:
                 _, topic, fields = self._published.pop(0)
                 yield Message(topic, fields, self.t)
 
     def ask(self, command, _args=None):
-        status = {"state": self.state, "severities": [], "segment": self.segment, "wish": self.wish, "control": ""}
+        status = {
+            "state": self.state,
+            "severities": [],
+            "segment": self.segment,
+            "requested_state": self.wish,
+            "control": "",
+        }
         if command == "status":
             return {"ok": True, "result": status}
         self.asked.append(command)

@@ -1,4 +1,4 @@
-"""Compiled kernels: same numbers as the virtual machine, whichever columns are beside; refused arrays; no compiler."""
+"""Compiled kernels: agreement with CasADi's virtual machine, argument checks, and operation without a compiler."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def _function() -> ca.Function:
 
 
 @pytest.fixture(autouse=True)
-def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a process that has just begun."""
+def reset_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget which warnings have been issued, as in a new process."""
     monkeypatch.setattr(compiled, "_WARNED", set())
     monkeypatch.delenv(compiler.FAULT, raising=False)
 
@@ -48,8 +48,8 @@ def script(path: Path, text: str) -> Path:
     return path
 
 
-def of_one(expression: ca.SX, x: ca.SX, folder: Path, values: np.ndarray) -> np.ndarray:
-    """What the compiled kernel of columns makes of the values; that of one column must give the same bits."""
+def evaluated(expression: ca.SX, x: ca.SX, folder: Path, values: np.ndarray) -> np.ndarray:
+    """The result of the block kernel for these values; the kernel of one column must give identical results."""
     function = ca.Function("g", [x], [expression])
     library = load("one", lambda: [single(function), of_columns(function, "gs", [])], folder)
     assert library.backend == "c"
@@ -65,7 +65,7 @@ def of_one(expression: ca.SX, x: ca.SX, folder: Path, values: np.ndarray) -> np.
     return many[: len(values)]
 
 
-def test_compiled_code_gives_the_virtual_machines_numbers(tmp_path: Path) -> None:
+def test_compiled_code_agrees_with_the_virtual_machine(tmp_path: Path) -> None:
     library = toy(tmp_path)
     assert library.backend == "c"
     x, u, y, J = np.array([0.3, 1.7, -2.0]), np.array([0.9]), np.zeros(3), np.zeros((3, 3))
@@ -87,16 +87,18 @@ ANGLES = np.concatenate([np.linspace(-7.0, 7.0, 4001), np.arange(1, 400) * (math
         ("log", np.concatenate([np.geomspace(1e-307, 1e308, 4001), np.linspace(0.5, 2.0, 2001), [5e-324]]), 1.5),
     ],
 )
-def test_functions_are_those_of_libm_to_an_ulp(tmp_path: Path, operation: str, values: np.ndarray, ulps: float) -> None:
+def test_elementary_functions_agree_with_libm_within_an_ulp(
+    tmp_path: Path, operation: str, values: np.ndarray, ulps: float
+) -> None:
     x = ca.SX.sym("x")
-    got = of_one(getattr(ca, operation)(x), x, tmp_path, values)
+    got = evaluated(getattr(ca, operation)(x), x, tmp_path, values)
     wanted = getattr(np, operation)(values)
-    # the angles' last bits are dropped: near a zero it is the angle's own rounding that counts
+    # near a zero the rounding of the angle itself dominates
     spacing = np.maximum(np.spacing(np.abs(wanted)), 2.0**-54 * np.spacing(np.abs(values)) if operation != "log" else 0)
     assert (np.abs(got - wanted) / spacing).max() < ulps
 
 
-def test_what_is_no_number_stays_none(tmp_path: Path) -> None:
+def test_nan_and_infinity_propagate(tmp_path: Path) -> None:
     x = ca.SX.sym("x")
     nothing = np.array([math.nan, math.inf, -math.inf])
     for number, (expression, wanted) in enumerate(
@@ -109,24 +111,26 @@ def test_what_is_no_number_stays_none(tmp_path: Path) -> None:
             (ca.if_else(x < 0, 2.0, 3.0), [3.0, 3.0, 2.0]),
         ]
     ):
-        got = of_one(expression, x, tmp_path / str(number), nothing)
+        got = evaluated(expression, x, tmp_path / str(number), nothing)
         assert got == pytest.approx(np.array(wanted), nan_ok=True), expression
-    assert of_one(ca.log(x), x, tmp_path / "log", np.array([0.0, -1.0]))[0] == -math.inf
-    assert np.isnan(of_one(ca.cos(x), x, tmp_path / "far", np.array([1.1e6]))), "too far to tell the angle"
+    assert evaluated(ca.log(x), x, tmp_path / "log", np.array([0.0, -1.0]))[0] == -math.inf
+    assert np.isnan(evaluated(ca.cos(x), x, tmp_path / "far", np.array([1.1e6]))), "the argument is too large to reduce"
 
 
-def test_pieces_hand_on_what_later_ones_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_split_into_pieces_passes_intermediate_results_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kernels, "PART", 3)
     n = 4 * LANES
     x, y, J = np.arange(3.0 * n).reshape(n, 3), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    toy(tmp_path).bind("f_block", [x, np.ones(1)], [y, J])(3 * LANES)  # of which some stand abreast, and one is left
+    toy(tmp_path).bind("f_block", [x, np.ones(1)], [y, J])(3 * LANES)  # full blocks and one left over
     for row, out in zip(x[: 3 * LANES], y, strict=False):
         assert out == pytest.approx(np.asarray(_function()(row, 1.0)[0]).ravel(), rel=1e-15)
     assert not y[3 * LANES :].any()
     assert not J[3 * LANES :].any()
 
 
-def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_anew_each_time(tmp_path: Path) -> None:
+def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_at_each_call(tmp_path: Path) -> None:
     x, y = np.array([0.0, 2.0, 3.0]), np.zeros(3)
     call = toy(tmp_path).bind("f", [x, np.ones(1)], [y, np.zeros((3, 3))])
     call()
@@ -136,15 +140,15 @@ def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_anew_each_time(tmp_p
     assert y[1] == 15.0
 
 
-def test_the_second_load_builds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_load_does_not_compile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     toy(tmp_path)
     built = sorted(tmp_path.iterdir())
-    assert sorted(each.suffix for each in built) == [".json", ".so"], "nothing else is left behind"
+    assert sorted(each.suffix for each in built) == [".json", ".so"], "no temporary files are left"
     monkeypatch.setattr(building, "build", None)
     assert toy(tmp_path).backend == "c"
 
 
-def test_what_comes_to_the_same_c_is_not_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_identical_c_source_is_not_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     toy(tmp_path)
     monkeypatch.setattr(compiled, "_sources", lambda: b"a comment more")
     monkeypatch.setattr(subprocess, "run", None)
@@ -153,8 +157,8 @@ def test_what_comes_to_the_same_c_is_not_compiled_again(tmp_path: Path, monkeypa
     assert len(list(tmp_path.glob("*.json"))) == 2
 
 
-def test_what_is_built_is_loaded_without_casadi() -> None:
-    """Of every model that a daemon, its smoother or its explorer runs."""
+def test_compiled_models_load_without_importing_casadi() -> None:
+    """Covers every model that the daemon, its smoother or its explorer runs."""
     from palmd.model import extended, rollout, sensitivity
 
     models = (shape_map, extended, sensitivity, smoothing, rollout)
@@ -165,7 +169,7 @@ def test_what_is_built_is_loaded_without_casadi() -> None:
     assert subprocess.run([sys.executable, "-c", f"{code}\n{check}"]).returncode == 0
 
 
-def test_without_a_compiler_the_virtual_machine_serves(
+def test_without_a_compiler_the_virtual_machine_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     without_a_compiler(monkeypatch, tmp_path)
@@ -179,12 +183,12 @@ def test_without_a_compiler_the_virtual_machine_serves(
     call = library.bind("f_block", [x, np.ones(1)], [y, np.zeros((16, 3, 3))])
     call(8)
     assert y[7, 1] == pytest.approx(22.0 * 23.0)
-    assert not y[8:].any(), "these were not asked for"
+    assert not y[8:].any(), "only 8 columns were requested"
     call()
     assert y[15, 1] == pytest.approx(46.0 * 47.0)
 
 
-def test_without_a_compiler_c_by_hand_is_refused_with_what_to_do(
+def test_without_a_compiler_handwritten_c_is_refused_with_a_hint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     without_a_compiler(monkeypatch, tmp_path)
@@ -199,8 +203,8 @@ def test_without_a_compiler_c_by_hand_is_refused_with_what_to_do(
 
 
 @pytest.fixture
-def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A wheel's folder with the toy in it, on a machine whose own cache is empty."""
+def wheel_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a wheel that contains the toy library, on a machine whose own cache is empty."""
     toy(tmp_path / "made")
     collect(
         (tmp_path / "made").glob("*.json"), ["SSE2"] if platform.machine() == "x86_64" else [], tmp_path / "kernels"
@@ -209,51 +213,51 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "kernels"
 
 
-def test_without_a_compiler_what_a_wheel_carries_serves(
-    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_without_a_compiler_the_wheels_library_is_used(
+    wheel_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     without_a_compiler(monkeypatch, tmp_path)
     monkeypatch.setattr(building, "on_the_vm", None)
     library = toy(tmp_path / "cache")
     assert library.backend == "c"
     assert library.path is not None
-    assert library.path.parent == shipped
+    assert library.path.parent == wheel_folder
     assert not (tmp_path / "cache").exists()
     assert not caplog.text
 
 
 @pytest.mark.parametrize("why", ["other sources", "another processor", "damaged"])
-def test_what_a_wheel_carries_for_something_else_does_not_serve(
-    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str
+def test_a_wheels_library_that_does_not_match_is_not_used(
+    wheel_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str
 ) -> None:
     without_a_compiler(monkeypatch, tmp_path)
     if why == "other sources":
         monkeypatch.setattr(compiled, "_sources", lambda: b"another version")
     elif why == "another processor":
-        (shipped / compiled.NEEDS).write_text("SSE2 AVX9000")
+        (wheel_folder / compiled.NEEDS).write_text("SSE2 AVX9000")
     else:
-        (victim,) = shipped.glob("*.so")
+        (victim,) = wheel_folder.glob("*.so")
         victim.write_bytes(victim.read_bytes()[:100])
     assert toy(tmp_path / "cache").backend == "vm"
 
 
-def test_what_a_compiler_makes_for_this_very_processor_goes_before_what_a_wheel_carries(
-    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_library_compiled_for_this_processor_is_preferred_to_the_wheels(
+    wheel_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     library = toy(tmp_path / "cache")
     assert library.path is not None
     assert library.path.parent == tmp_path / "cache"
     monkeypatch.setenv("CC", str(script(tmp_path / "broken", "exit 1")))
     library = toy(tmp_path / "other")
-    assert library.path is not None, "where the compiler fails"
-    assert library.path.parent == shipped
+    assert library.path is not None, "the compiler fails"
+    assert library.path.parent == wheel_folder
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="names a processor of another kind")
-def test_the_processor_that_cc_names_is_compiled_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_processor_named_in_cc_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = tmp_path / "calls"
-    compiler_told = script(tmp_path / "cc", f'echo "$*" >> {calls}; exec cc "$@"')
-    monkeypatch.setenv("CC", f"{compiler_told} -march=x86-64-v2")
+    recording_compiler = script(tmp_path / "cc", f'echo "$*" >> {calls}; exec cc "$@"')
+    monkeypatch.setenv("CC", f"{recording_compiler} -march=x86-64-v2")
     assert toy(tmp_path / "cache").path is not None
     compiling = [line for line in calls.read_text().splitlines() if " -c " in line]
     assert compiling
@@ -269,7 +273,7 @@ def test_the_processor_that_cc_names_is_compiled_for(tmp_path: Path, monkeypatch
         ("sleep 600 & sleep 600", "has not ended"),
     ],
 )
-def test_a_compiler_that_fails_or_never_ends_is_reported_once_and_given_up(
+def test_a_compiler_that_fails_or_hangs_is_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, text: str, why: str
 ) -> None:
     monkeypatch.setattr(compiler, "TRIAL_S", 1.0)
@@ -281,7 +285,7 @@ def test_a_compiler_that_fails_or_never_ends_is_reported_once_and_given_up(
 
 @pytest.fixture
 def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
-    """Makes a folder on a file system of its own, which takes the right to mount."""
+    """Return a function that mounts a file system with these options; skip without permission to mount."""
     folders = []
 
     def mount(options: str) -> Path:
@@ -289,7 +293,7 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
         folder.mkdir()
         done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder], capture_output=True)
         if done.returncode:
-            pytest.skip("no right to mount a file system")
+            pytest.skip("no permission to mount a file system")
         folders.append(folder)
         return folder
 
@@ -299,7 +303,7 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
 
 
 @pytest.mark.parametrize(("options", "why"), [("noexec", "cannot be loaded"), ("size=1m", "No space left")])
-def test_a_cache_on_a_noexec_or_full_file_system_is_found_out_before_compiling(
+def test_a_cache_on_a_noexec_or_full_file_system_is_detected_before_compiling(
     mounted: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture, options: str, why: str,
 ) -> None:  # fmt: skip
@@ -311,14 +315,14 @@ def test_a_cache_on_a_noexec_or_full_file_system_is_found_out_before_compiling(
     assert caplog.text.count(why) == 1
     assert "XDG_CACHE_HOME" in caplog.text
     if started.exists():
-        assert " -c " not in started.read_text(), "nothing but the trial has been compiled"
+        assert " -c " not in started.read_text(), "only the trial is compiled"
     assert not list(cache.iterdir())
 
 
-def test_a_library_that_can_no_longer_be_loaded_is_said_once(
+def test_a_library_that_can_no_longer_be_loaded_is_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As on a file system that was mounted anew, without the right to execute."""
+    """For example after the file system was remounted with noexec."""
     assert {toy(tmp_path, name).backend for name in ("one", "other")} == {"c"}
 
     def refused(path: str) -> None:
@@ -331,10 +335,10 @@ def test_a_library_that_can_no_longer_be_loaded_is_said_once(
     assert "noexec" in caplog.text
 
 
-def test_what_could_not_be_compiled_is_not_tried_at_each_start(
+def test_a_failed_compilation_is_not_repeated_at_each_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """By a compiler that works on a line, and not on a library."""
+    """The compiler works on a short test program and fails on a library."""
     started, cache = tmp_path / "started", tmp_path / "palmd"
     text = (
         f'case "$*" in *" -c "*) echo >> {started}; echo "cc1: error: out of memory" >&2; exit 4;; esac; exec cc "$@"'
@@ -358,7 +362,7 @@ def test_a_compiler_may_have_a_wrapper_and_flags(tmp_path: Path, monkeypatch: py
     assert toy(tmp_path / "cache").backend == "c"
 
 
-def test_quotes_that_do_not_close_are_said(
+def test_unclosed_quotes_in_cc_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("CC", "gcc 'x")
@@ -366,7 +370,7 @@ def test_quotes_that_do_not_close_are_said(
     assert "no closing quotation" in caplog.text
 
 
-def test_a_compiler_that_does_not_exist_is_reported(
+def test_a_missing_compiler_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
@@ -374,11 +378,11 @@ def test_a_compiler_that_does_not_exist_is_reported(
     assert "nowhere: No such file" in caplog.text
 
 
-def test_a_library_that_is_not_what_was_built_is_built_anew(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_library_with_a_wrong_hash_is_rebuilt(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     toy(tmp_path)
     (victim,) = tmp_path.glob("*.so")
     sound = victim.read_bytes()
-    victim.unlink()  # not written over: it is loaded in this process
+    victim.unlink()  # do not overwrite it: this process has loaded it
     victim.write_bytes(sound[: len(sound) // 2])
     assert toy(tmp_path).backend == "c"
     assert "wrong hash" in caplog.text
@@ -387,7 +391,7 @@ def test_a_library_that_is_not_what_was_built_is_built_anew(tmp_path: Path, capl
     assert toy(tmp_path).backend == "c"
 
 
-def test_a_compiler_that_makes_something_else_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_results_of_a_compiler_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     right = kernels._operations()
     monkeypatch.setattr(kernels, "_operations", lambda: right | {ca.OP_MUL: "{0} + {1}"})
     with pytest.raises(RuntimeError, match="compiled f differs from CasADi's virtual machine in output y"):
@@ -395,7 +399,7 @@ def test_a_compiler_that_makes_something_else_is_found_out(tmp_path: Path, monke
     assert not list(tmp_path.glob("*.so"))
 
 
-def test_an_operation_without_c_is_told(tmp_path: Path) -> None:
+def test_an_unsupported_casadi_operation_raises(tmp_path: Path) -> None:
     x = ca.SX.sym("x")
     with pytest.raises(NotImplementedError, match="no C for CasADi's operation"):
         load("odd", lambda: [single(ca.Function("f", [x], [ca.erf(x)]))], tmp_path)
@@ -415,7 +419,7 @@ SHARED = np.zeros(3)
         ("f_block", [np.zeros((5, 3)), np.zeros(1)], [np.zeros((5, 3)), np.zeros((5, 3, 3))], "multiple of 8 columns"),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(
+def test_arrays_of_the_wrong_shape_are_refused(
     tmp_path: Path, name: str, inputs: list[np.ndarray], outputs: list[np.ndarray], complaint: str
 ) -> None:
     library = toy(tmp_path)
@@ -424,14 +428,14 @@ def test_arrays_that_do_not_fit_are_refused(
 
 
 @pytest.mark.parametrize("name", ["predict", "update_s1"])
-def test_one_filter_has_the_same_bits_as_one_of_a_bank(name: str) -> None:
+def test_a_single_filter_gives_identical_results_to_one_in_a_bank(name: str) -> None:
     library, random = shape_map.library(), np.random.default_rng(1)
-    told = library.signatures[name]
-    columns = [random.uniform(0.02, 0.09, (LANES, size)) for _, size in told.inputs[:-1]]
-    last = random.uniform(0.02, 0.09, told.inputs[-1][1])
-    many = [np.zeros((LANES, size)) for _, size in told.outputs]
+    signature = library.signatures[name]
+    columns = [random.uniform(0.02, 0.09, (LANES, size)) for _, size in signature.inputs[:-1]]
+    last = random.uniform(0.02, 0.09, signature.inputs[-1][1])
+    many = [np.zeros((LANES, size)) for _, size in signature.outputs]
     library.bind(f"{name}_block", [*columns, last], many)()
     for i in (0, 5):
-        one = [np.zeros(size) for _, size in told.outputs]
+        one = [np.zeros(size) for _, size in signature.outputs]
         library.bind(name, [*(each[i].copy() for each in columns), last], one)()
         assert all(a.tobytes() == b[i].tobytes() for a, b in zip(one, many, strict=True))

@@ -1,4 +1,4 @@
-"""Beliefs of a body made convex, without what is known of it."""
+"""Samples of a belief about a body are made convex without changing what is known of it."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ DIRECTIONS = icosphere(3)[0]
 
 
 @pytest.fixture(scope="module")
-def felt():
-    """A cap of the body that has been felt to 10 µm: which directions, mean and covariance of the outline."""
+def touched_cap():
+    """A cap of the body that is known to 10 µm: which directions, mean and covariance of the outline."""
     cap = DIRECTIONS[:, 2] > 0.8
     rows = evaluator(ORDER)(DIRECTIONS[cap])[0]
     prior = np.diag(shape_variance(RADIUS, ORDER))
@@ -35,18 +35,18 @@ def drawn(mean, covariance, seed=3):
     return mean + axes @ (np.sqrt(np.maximum(variance, 0.0)) * np.random.default_rng(seed).normal(size=len(mean)))
 
 
-def test_the_least_radii_are_those_of_the_surface(felt):
-    _, _, mean, covariance = felt
+def test_least_radii_are_the_surfaces_least_radii_of_curvature(touched_cap):
+    _, _, mean, covariance = touched_cap
     c = drawn(mean, covariance)
     radii, rows = least_radii(c)
     np.testing.assert_allclose(radii, curvatures(c, DIRECTIONS)[:, 0], atol=1e-7)
     np.testing.assert_allclose(rows @ c, radii, atol=1e-12)
 
 
-def test_what_was_never_felt_is_made_convex_and_what_was_felt_stays(felt):
-    cap, rows, mean, covariance = felt
+def test_the_untouched_part_is_made_convex_and_the_touched_part_stays(touched_cap):
+    cap, rows, mean, covariance = touched_cap
     c = drawn(mean, covariance)
-    assert least_radii(c)[0].min() < -0.5 * RADIUS  # as a Gaussian belief draws it
+    assert least_radii(c)[0].min() < -0.5 * RADIUS  # a sample of a Gaussian belief is not convex
     made = nearest_convex(c, covariance, SHAPE)
     assert least_radii(made)[0].min() > 0.0
     np.testing.assert_allclose(rows @ made, rows @ c, atol=2e-5)
@@ -54,16 +54,16 @@ def test_what_was_never_felt_is_made_convex_and_what_was_felt_stays(felt):
     assert np.abs(elsewhere @ (made - c)).max() > 1e-3
 
 
-def test_what_is_convex_stays_to_the_last_bit(felt):
-    _, _, mean, covariance = felt
+def test_a_convex_body_is_not_changed_at_all(touched_cap):
+    _, _, mean, covariance = touched_cap
     assert least_radii(mean)[0].min() > LEAST_RADIUS * RADIUS
     assert np.array_equal(nearest_convex(mean, covariance, SHAPE), mean)
 
 
-def test_bodies_that_are_drawn_of_a_belief_are_convex(felt):
-    _, _, mean, shape = felt
+def test_bodies_drawn_from_a_belief_are_convex(touched_cap):
+    _, _, mean, shape = touched_cap
     p, covariance = np.zeros(count(ORDER) + BODY), 1e-8 * np.eye(6 + count(ORDER) + BODY)
     p[SHAPE], covariance[6 : 6 + count(ORDER), 6 : 6 + count(ORDER)] = mean, shape
     draws = BodyDraws.of(p, covariance, np.random.default_rng(0))
     assert all(least_radii(each[SHAPE])[0].min() > 0.0 for each in draws.p)
-    assert 0.5e-4 < draws.turn.std() < 2e-4  # what has nothing to do with it is as it was
+    assert 0.5e-4 < draws.turn.std() < 2e-4  # independent parameters keep their spread

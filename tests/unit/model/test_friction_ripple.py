@@ -1,4 +1,4 @@
-"""The ripple of a body's own slip: the model against the emulated plant, which resolves the vibration in time."""
+"""Friction ripple of a body's own slip: the model against the emulated plant, which resolves the vibration in time."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ BODY = Body(
 MU, SPEED, FREQUENCY_HZ = 0.2, 0.015, 250.0
 KAPPA = {"independent": 0.0, "in_phase": -1.0, "antiphase": 1.0}
 APART_HZ = {"independent": 13.0, "in_phase": 0.0, "antiphase": 0.0}
-PHASE = {"independent": 1.0, "in_phase": 0.0, "antiphase": math.pi}  # of palm 2 less that of palm 1
+PHASE = {"independent": 1.0, "in_phase": 0.0, "antiphase": math.pi}  # phase of palm 2 minus that of palm 1
 STEP_S, STEPS, APART = 5e-4, 8000, 5
-OVER = 20  # steps on either side, of a mean
-SETTLED = 400  # steps from any start
-WINDOW = 100  # of these instants: 0.25 s
+OVER = 20  # steps on either side of a mean
+SETTLED = 400  # steps after any start
+WINDOW = 100  # number of instants, 0.25 s
 
 
 def exploring(t: float) -> PalmMotion:
-    """Both palms rock slowly, by 2° and less: slips stay well below the vibration's speed."""
+    """Both palms rock slowly, by 2° at most, so that slip stays well below the vibration's speed."""
     one, two = 2.2 * t + 0.3, 1.5 * t + 1.1
     return PalmMotion(
         (0.75 + 0.038 * math.sin(one), 1.65 + 0.03 * math.sin(two)),
@@ -41,7 +41,7 @@ def exploring(t: float) -> PalmMotion:
 
 
 def spin_rate(half_period: float, kappa: float, steps: int = 2) -> ca.Function:
-    """α0 of palms φ1 … α2, ω0, and r, d, v of both contacts."""
+    """Spin acceleration α0 as a function of φ1 … α2, ω0, and r, d, v of both contacts."""
     palms, omega0, contacts = ca.SX.sym("palms", 6), ca.SX.sym("omega0"), ca.SX.sym("contacts", 6)
     one, two = (Contact(*(contacts[i] for i in rows)) for rows in (range(3), range(3, 6)))
     body = BodyConstants(*(ca.SX(each) for each in (BODY.rho, MU, math.pi / 2 * SPEED, 0.0)))
@@ -57,7 +57,7 @@ def instant(palms: PalmMotion, psi: float, omega0: float) -> list[float]:
 
 
 def resolved(relation: str) -> tuple[np.ndarray, np.ndarray]:
-    """Instants of a motion whose vibration is resolved, a column each `APART` steps, and the spin there (rad/s).
+    """Instants of a motion with resolved vibration, a column each `APART` steps, and the spin there (rad/s).
 
     Both are means over the vibration.
     """
@@ -77,8 +77,8 @@ def resolved(relation: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(instants).T, omega0[SETTLED::APART]
 
 
-@pytest.mark.parametrize(("relation", "of_it"), [("independent", 0.95), ("in_phase", 0.8), ("antiphase", 0.5)])
-def test_a_body_on_vibrating_palms_turns_as_its_own_ripple_lets_it(relation: str, of_it: float) -> None:
+@pytest.mark.parametrize(("relation", "share"), [("independent", 0.95), ("in_phase", 0.8), ("antiphase", 0.5)])
+def test_the_ripple_model_predicts_the_spin_on_vibrating_palms_better(relation: str, share: float) -> None:
     instants, omega0 = resolved(relation)
     errors = []
     for half_period in (0.5 / FREQUENCY_HZ, 0.0):
@@ -86,4 +86,4 @@ def test_a_body_on_vibrating_palms_turns_as_its_own_ripple_lets_it(relation: str
         gained = np.cumsum(alpha0[1:] + alpha0[:-1]) * 0.5 * APART * STEP_S
         drift = omega0[1:] - omega0[0] - gained
         errors.append(float(np.sqrt(np.mean((drift[WINDOW:] - drift[:-WINDOW]) ** 2))))
-    assert errors[0] < of_it * errors[1]
+    assert errors[0] < share * errors[1]

@@ -1,4 +1,4 @@
-"""Mean and covariance of friction's direction on a palm that vibrates in its plane: against means over time."""
+"""Mean and covariance of the friction direction on a palm that vibrates in its plane, against averages over time."""
 
 import math
 
@@ -16,7 +16,7 @@ SLIPS = [*zip(RNG.normal(0.0, 1.0, 12), RNG.normal(0.0, 0.5, 12), strict=True), 
 
 
 @pytest.mark.parametrize(("along", "across"), SLIPS)
-def test_moments_are_means_over_the_vibration(along, across):
+def test_moments_equal_averages_over_the_vibration(along, across):
     there = along + COSINES
     size = np.sqrt(there**2 + across**2 + KINK**2)
     first, second = there / size, np.full(MANY, across) / size
@@ -27,24 +27,24 @@ def test_moments_are_means_over_the_vibration(along, across):
 
 
 @pytest.mark.parametrize("along", [-0.7, -0.3, 0.2, 0.6])
-def test_along_the_vibration_it_is_the_share_of_the_signs(along):
+def test_slip_along_the_vibration_gives_the_mean_sign(along):
     assert direction_moments(along, 0.0, np)[0][0] == pytest.approx(2 / math.pi * math.asin(along), abs=1e-3)
 
 
 @pytest.mark.parametrize("across", [0.2, 0.5, 1.0, 3.0])
-def test_across_the_vibration_it_is_the_elliptic_integral_of_the_theory(across):
+def test_slip_across_the_vibration_gives_the_elliptic_integral(across):
     w2 = across**2 + 1.0
     wanted = 2 / math.pi * across / math.sqrt(w2) * ellipk(1.0 / w2)
     assert direction_moments(0.0, across, np)[0][1] == pytest.approx(wanted, abs=2e-3)
 
 
-def test_slow_slip_across_is_hardly_relieved():
+def test_friction_across_the_vibration_stays_high_at_slow_slip():
     across = 0.1
     wanted = 2 / math.pi * across * math.log(4.0 / across)
     assert direction_moments(0.0, across, np)[0][1] == pytest.approx(wanted, rel=0.02)
 
 
-def test_symbols_give_what_arrays_give():
+def test_symbols_and_arrays_give_the_same_moments():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     sigma, spread = direction_moments(x, y)
     function = ca.Function("moments", [x, y], [ca.vertcat(*sigma, *spread)])

@@ -1,4 +1,4 @@
-"""Rotations and their vectors, against SciPy's and against differences."""
+"""Rotations and rotation vectors, against SciPy and against finite differences."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ VECTORS = np.concatenate(
     [
         np.zeros((1, 3)),
         np.random.default_rng(1).normal(0.0, 1.0, (40, 3)),
-        [[1e-9, 0.0, 0.0], [0.0, 3.1, 0.0], [1.8, -1.8, 1.8]],  # hardly any, and nearly half a turn
+        [[1e-9, 0.0, 0.0], [0.0, 3.1, 0.0], [1.8, -1.8, 1.8]],  # almost none, and almost half a turn
     ]
 )
 
 
-def test_vectors_and_rotations_are_scipys():
+def test_exp_and_log_agree_with_scipy():
     assert np.allclose(rotation.exp(VECTORS), Rotation.from_rotvec(VECTORS).as_matrix(), atol=1e-14)
     near = VECTORS[np.linalg.norm(VECTORS, axis=1) < np.pi - 1e-3]
     assert len(near) > 35
@@ -23,11 +23,11 @@ def test_vectors_and_rotations_are_scipys():
     assert np.allclose(rotation.skew(VECTORS[3]) @ VECTORS[4], np.cross(VECTORS[3], VECTORS[4]))
 
 
-def test_the_left_inverse_is_the_derivative_to_its_order():
-    """To third order: halve v, and what is left falls to a sixteenth."""
+def test_the_left_inverse_jacobian_is_accurate_to_third_order():
+    """Halving v reduces the error to a sixteenth."""
     v = np.array([0.3, -0.2, 0.4])
 
-    def left_over(v):
+    def error_at(v):
         step = 1e-6
         columns = [
             rotation.log(rotation.exp(d) @ rotation.exp(v)) - rotation.log(rotation.exp(-d) @ rotation.exp(v))
@@ -35,12 +35,12 @@ def test_the_left_inverse_is_the_derivative_to_its_order():
         ]
         return np.abs(np.array(columns).T / (2 * step) - rotation.left_inverse(v)).max()
 
-    whole, half = left_over(v), left_over(v / 2)
+    whole, half = error_at(v), error_at(v / 2)
     assert whole < 1e-3
     assert half / whole == pytest.approx(1 / 16, rel=0.1)
 
 
-def test_quaternions_turn_on_without_a_jump_and_are_the_same_rotations():
+def test_quaternions_are_continuous_and_represent_the_same_rotations():
     turns = np.linspace(0.0, 4 * np.pi, 50)[:, None] * np.array([0.0, 0.6, 0.8])
     R = rotation.exp(turns)
     q = rotation.quaternions(R)

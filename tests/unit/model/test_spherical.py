@@ -1,4 +1,4 @@
-"""Support functions in spherical harmonics: what is said of gradients and curvatures, against differences."""
+"""Support functions in spherical harmonics: gradients and curvatures against finite differences."""
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ ORDER = 5
 
 @pytest.fixture
 def body():
-    """Coefficients of some body of about 20 mm."""
+    """Coefficients of a body of about 20 mm."""
     random = np.random.default_rng(3)
     c = random.normal(size=count(ORDER)) * 1e-3 / (1.0 + degrees(ORDER)) ** 2
     c[0] = 0.02 / Y00
@@ -50,7 +50,7 @@ def test_harmonics_are_orthonormal():
     np.testing.assert_allclose(rows.T @ (areas[:, None] * rows), np.eye(count(ORDER)), atol=1e-12)
 
 
-def test_derivatives_of_solid_harmonics_are_harmonics_one_degree_lower():
+def test_derivatives_of_solid_harmonics_are_one_degree_lower():
     x = ca.SX.sym("x", 3)
     value = solid_harmonics(x, ORDER)
     at = ca.Function("f", [x], [value, ca.jacobian(value, x)])
@@ -58,13 +58,13 @@ def test_derivatives_of_solid_harmonics_are_harmonics_one_degree_lower():
     np.testing.assert_allclose(np.stack([D @ S[:, 0] for D in derivatives(ORDER)], axis=1), slope, atol=1e-12)
 
 
-def test_the_point_of_a_normal_is_the_gradient(body):
+def test_the_contact_point_of_a_normal_is_the_gradient(body):
     u = np.array([0.48, -0.6, 0.64])
     points = evaluator(ORDER)(u[None])[1][0] @ body
     np.testing.assert_allclose(points, numeric_gradient(body, u), atol=1e-9)
 
 
-def test_sensitivities_of_contact_and_curvature(body):
+def test_sensitivities_of_contact_and_curvature_match_finite_differences(body):
     u_, s_, c_ = ca.SX.sym("u", 3), ca.SX.sym("s", 3), ca.SX.sym("c", count(ORDER))
     surface = SphericalSurface(u_, c_, ORDER)
     terms = surface.terms()

@@ -10,7 +10,7 @@ from palmd.motion.three_palms import TiltLimits
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_it_goes_about_the_middle_within_the_limits(wide):
+def test_swings_go_around_the_middle_within_the_limits(wide):
     limits = TiltLimits.over(WIDE if wide else ThreePalmsLimitsConfig(beta_deg=(40.0, 60.0)), 75.0)
     swing, random = Swing(limits), np.random.default_rng(3)
     here, ends = swing.middle, []
@@ -24,10 +24,10 @@ def test_it_goes_about_the_middle_within_the_limits(wide):
     off = np.array(ends) - swing.middle
     assert np.abs(off).max() <= SWING_RAD + 1e-12
     assert np.linalg.matrix_rank(off, tol=0.1) == 3
-    assert np.abs(np.diff(off, axis=0)).max(axis=1).min() > 0.02  # it never stands
+    assert np.abs(np.diff(off, axis=0)).max(axis=1).min() > 0.02  # it never stands still
 
 
-def test_from_far_away_it_goes_back_slowly():
+def test_from_far_away_it_returns_slowly_to_the_middle():
     limits = TiltLimits.over(WIDE, 75.0)
     swing = Swing(limits)
     far = tuple(low + 0.01 for low, _ in limits.angles)

@@ -1,4 +1,4 @@
-"""The motions that the explorer tries: inside the limits whatever is drawn, whole calls long."""
+"""Candidate motions of the explorer: always within the limits, and whole calls long."""
 
 import math
 
@@ -21,7 +21,7 @@ LENGTH = 5
 
 
 def limits_of(config: Config, strength: float = 1.0) -> MotionLimits:
-    """With the workspace that the emulated controller tells, and an arm so many times as strong."""
+    """Limits with the workspace that the emulated controller reports, and an arm scaled by `strength`."""
     allowed = arm_limits(config)
     workspace = Workspace(
         RigGeometry.from_config(config), allowed.x_min, allowed.x_max, allowed.y_min, allowed.y_max,
@@ -43,7 +43,7 @@ STARTS = [(45.0, 90.0), (31.0, 75.0), (69.0, 100.0)]
     [limits_of(default_config()), limits_of(NARROW), limits_of(default_config(), 0.2)],
     ids=["shipped", "narrow", "weak arm"],
 )
-def test_no_limit_is_ever_left(kind, limits):
+def test_candidates_keep_all_limits(kind, limits):
     """Angles, their sum, rates, accelerations and the arm, along thousands of moves."""
     random = np.random.default_rng(5)
     for start_deg in STARTS:
@@ -59,7 +59,7 @@ def test_no_limit_is_ever_left(kind, limits):
 
 
 @pytest.mark.parametrize(("width_deg", "middle_deg"), [(0.0, 45.0), (0.5, 45.25), (3.0, 46.5), (3.5, 46.75)])
-def test_a_range_too_narrow_for_its_margins_is_its_middle(width_deg, middle_deg):
+def test_a_range_narrower_than_its_margins_shrinks_to_its_middle(width_deg, middle_deg):
     angles = np.radians(((45.0, 45.0 + width_deg), (60.0, 120.0)))
     limits = MotionLimits(tuple(map(tuple, angles.tolist())), 1.0, 9.0, 0.05)
     low, high = candidates.range_of(limits)
@@ -69,7 +69,7 @@ def test_a_range_too_narrow_for_its_margins_is_its_middle(width_deg, middle_deg)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_durations_are_whole_calls_and_the_draw_depends_on_the_generator_alone(kind):
+def test_durations_are_whole_calls_and_draws_depend_on_the_generator_only(kind):
     limits = motion_limits(default_config())
     start = np.radians((45.0, 90.0))
     one, other, same = (kind(np.random.default_rng(seed), start, 300, LENGTH, limits) for seed in (1, 2, 1))
@@ -81,8 +81,8 @@ def test_durations_are_whole_calls_and_the_draw_depends_on_the_generator_alone(k
     assert not np.array_equal(one.ends, other.ends)
 
 
-def test_loops_go_round_both_ways_and_come_back():
-    """The third and fifth corner are the first one's opposite and itself, unless a limit is in the way."""
+def test_loops_go_in_both_directions_and_return():
+    """Corners 3 and 5 are the opposite of corner 1 and corner 1 itself, unless a limit intervenes."""
     limits = motion_limits(default_config())
     ends = candidates.loops(np.random.default_rng(1), np.radians((45.0, 90.0)), DRAWS, LENGTH, limits).ends
     np.testing.assert_allclose(ends[:, 4], ends[:, 0], atol=1e-12)

@@ -1,4 +1,4 @@
-"""`palmd check`: configurations and plans together, all errors with their places."""
+"""`palmd check` of configurations and plans together: all errors with their places."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ def write(folder: Path, **files: str) -> list[Path]:
     return paths
 
 
-def test_every_shipped_file_is_fine() -> None:
+def test_every_shipped_file_is_valid() -> None:
     configs = sorted((ROOT / "config").glob("*.yaml"))
     plans = sorted((ROOT / "config/plans").glob("*.yaml"))
     assert len(configs) >= 2
     assert len(plans) >= 3
     for config in configs:
         text = config.read_text()
-        own = "curvature" in text or "system:" in text  # whose limits are their own, and so are their plans
+        own = "curvature" in text or "system:" in text  # has its own limits and plans
         assert check_files([config] if own else [config, *plans]) == []
     assert check_files(plans) == []
-    assert check_files(configs) == []  # as `palmd check config/*.yaml`: each one's plan within its own limits
+    assert check_files(configs) == []  # like `palmd check config/*.yaml`: each plan within its configuration's limits
 
 
-def test_a_plan_that_a_configuration_names_is_checked_within_its_limits_alone(tmp_path: Path) -> None:
+def test_a_plan_named_by_a_configuration_is_checked_within_that_ones_limits(tmp_path: Path) -> None:
     wide, tight, _ = write(
         tmp_path,
         wide=PORTS + "plan: rock.yaml\n",
@@ -66,7 +66,7 @@ def test_a_plan_that_a_configuration_names_is_checked_within_its_limits_alone(tm
     assert check_files([wide, tight]) == check_files([tight, wide]) == []
 
 
-def test_the_limits_are_those_of_the_configuration_beside_else_the_defaults(tmp_path: Path) -> None:
+def test_a_plans_limits_are_those_of_the_given_configuration_or_the_defaults(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [6, 70]}\n", rock=ROCK)
     assert check_files([plan]) == []
     expected = [f"{plan}:4:5: segments.1: phi1 reaches 75°, the limit is 70°"]
@@ -74,7 +74,7 @@ def test_the_limits_are_those_of_the_configuration_beside_else_the_defaults(tmp_
     assert check_files([config, plan]) == expected
 
 
-def test_errors_of_all_files_come_at_once(tmp_path: Path) -> None:
+def test_errors_of_all_files_are_reported_together(tmp_path: Path) -> None:
     broken = PORTS + "limits: {phi1_deg: [6, 70]}\nloop: {rate_hz: fast}\n"
     config, plan, other = write(tmp_path, palmd=broken, rock=ROCK, other="name: x\nsegments: []\n")
     errors = check_files([config, plan, other, tmp_path / "none.yaml"])
@@ -86,18 +86,18 @@ def test_errors_of_all_files_come_at_once(tmp_path: Path) -> None:
     ]
 
 
-def test_a_plan_beside_unusable_limits_is_checked_for_its_form_only(tmp_path: Path) -> None:
+def test_with_invalid_limits_only_the_plans_form_is_checked(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [70, 6]}\n", rock=ROCK)
     assert [error.split(":")[0] for error in check_files([config, plan])] == [str(config)]
 
 
-def test_the_plan_that_a_configuration_names_is_checked_once(tmp_path: Path) -> None:
+def test_a_plan_named_by_a_configuration_is_checked_once(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "limits: {phi1_deg: [6, 70]}\nplan: rock.yaml\n", rock=ROCK)
     assert len(check_files([config])) == 1
     assert len(check_files([config, plan])) == 1
 
 
-def test_a_plan_that_is_named_and_does_not_exist_is_told_where_it_is_named(tmp_path: Path) -> None:
+def test_a_missing_plan_is_reported_where_it_is_named(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "plan: rok.yaml\n", rock=ROCK)
     expected = f"{config}:3:7: plan: {tmp_path / 'rok.yaml'} does not exist"
     assert check_files([config]) == [f"{expected}; did you mean {plan}?"]
@@ -107,7 +107,7 @@ def test_a_plan_that_is_named_and_does_not_exist_is_told_where_it_is_named(tmp_p
     assert check_files([config]) == [f"{config}:3:7: plan: {tmp_path / 'nowhere/rock.yaml'} does not exist"]
 
 
-def test_what_the_daemon_would_find_in_the_keys_and_the_runs_folder_is_found(tmp_path: Path) -> None:
+def test_faults_of_the_key_folder_and_the_run_folder_are_found(tmp_path: Path) -> None:
     more = "bus: {keys: keys}\nrecord: {directory: palmd.yaml/runs}\n"
     (config,) = write(tmp_path, palmd=PORTS + more)
     assert check_files([config]) == [
@@ -119,7 +119,7 @@ def test_what_the_daemon_would_find_in_the_keys_and_the_runs_folder_is_found(tmp
     assert check_files([config]) == []
 
 
-def test_keys_that_are_the_services_own_are_no_error_of_the_configuration() -> None:
+def test_keys_that_only_the_service_may_read_are_no_error() -> None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
@@ -129,7 +129,7 @@ def test_keys_that_are_the_services_own_are_no_error_of_the_configuration() -> N
             assert check_files([config]) == []
 
 
-def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_otherwise(tmp_path: Path) -> None:
+def test_invalid_uses_of_an_exploration_are_reported_with_their_place(tmp_path: Path) -> None:
     (plan,) = write(tmp_path, rock=ROCK)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
     assert load_trajectory(plan, limits).labels == ("move", "rate", "explore")
@@ -144,7 +144,7 @@ def test_an_exploration_comes_last_and_once_and_its_place_in_the_file_is_told_ot
     assert shipped.name == "lively"
 
 
-def test_a_plan_that_explores_needs_an_observer_that_knows_an_outline(tmp_path: Path) -> None:
+def test_a_plan_that_explores_needs_an_observer_with_an_outline(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "observer: {primary: extended}\nplan: rock.yaml\n", rock=ROCK)
     (error,) = check_files([config])
     assert error.startswith(f"{config}:3:21: observer.primary: ")
@@ -153,7 +153,7 @@ def test_a_plan_that_explores_needs_an_observer_that_knows_an_outline(tmp_path: 
     assert check_files([config]) == []
 
 
-def test_a_plan_that_may_not_be_looked_for_is_told() -> None:
+def test_a_plan_in_an_unreadable_folder_is_reported() -> None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
@@ -166,7 +166,7 @@ def test_a_plan_that_may_not_be_looked_for_is_told() -> None:
                 read_plan(folder / "plans/rock.yaml", motion_limits(load_config(config)), None)
 
 
-def test_what_shakes_is_noted(tmp_path: Path) -> None:
+def test_notes_on_vibration_and_dither(tmp_path: Path) -> None:
     """A vibration and its strength, one that is too slow, and a plan's dither."""
     text = shipped("palmd.yaml").read_text(encoding="utf-8")
     plan = tmp_path / "dither.yaml"
@@ -180,13 +180,13 @@ def test_what_shakes_is_noted(tmp_path: Path) -> None:
         return [note.partition(": ")[2] for note in shaking_notes([path, plan])]
 
     assert [note for note in notes("{relation: independent}") if "rig.vibration:" in note] == []
-    (told, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.015}")
-    assert "averaged" in told
-    (told, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.006}")
-    assert "weak" in told
-    assert "0.21" in told
-    (told, *_) = notes("{relation: independent, frequency_hz: 30}")
-    assert "50 Hz" in told
+    (note_text, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.015}")
+    assert "averaged" in note_text
+    (note_text, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.006}")
+    assert "weak" in note_text
+    assert "0.21" in note_text
+    (note_text, *_) = notes("{relation: independent, frequency_hz: 30}")
+    assert "50 Hz" in note_text
     dry = notes("{relation: none}")
     assert "dry" in dry[0]
     assert [note for note in dry if note.startswith("dither")] == [dry[1]]

@@ -1,4 +1,4 @@
-"""Moves strung together as they are decided, and the rocking that begins an exploration in the dark."""
+"""Exploration paths: moves appended as they are decided, and the rocking at the start."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def angles(explored: Exploration, t: float) -> Angles:
     return motion.angles
 
 
-def test_stands_where_it_begins_until_a_move_is_decided() -> None:
+def test_the_path_stands_at_its_start_until_a_move_is_appended() -> None:
     explored = exploration()
     assert angles(explored, 0.0) == angles(explored, 1e4) == HERE
     assert explored.end == 0.0
@@ -61,7 +61,7 @@ def test_a_move_waits_for_the_end_of_the_one_before() -> None:
     assert explored.under_way(2.9)[0] == first
     assert explored.at(3.25) == second.at(0.25)
     motions = [explored.at(2.0 + 0.01 * i) for i in range(170)]
-    for a, b in itertools.pairwise(motions):  # no jump, and the rates are those of the angles
+    for a, b in itertools.pairwise(motions):  # no jump, and the rates are the derivatives of the angles
         assert b.angles[0] - a.angles[0] == pytest.approx(0.005 * (a.rates[0] + b.rates[0]), abs=1e-5)
 
 
@@ -93,14 +93,14 @@ def test_cut_at_rest_changes_nothing() -> None:
     assert explored.last == Move(HERE, THERE, 1.0)
 
 
-def test_moves_that_are_over_are_forgotten() -> None:
+def test_completed_moves_are_discarded() -> None:
     explored = exploration()
     for i in range(1000):
         explored.append(Move(explored.last.end, (HERE, THERE)[i % 2], 0.1), 0.1 * i)
     assert len(explored._moves) < 4
 
 
-def test_rocking_is_gentle_goes_round_its_corners_and_back() -> None:
+def test_rocking_is_gentle_and_visits_its_corners_and_returns() -> None:
     corners = [(HERE[0] + math.radians(a), HERE[1] + math.radians(b)) for a, b in CORNERS_DEG]
     here = HERE
     for corner in corners + corners:
@@ -112,7 +112,7 @@ def test_rocking_is_gentle_goes_round_its_corners_and_back() -> None:
         here = move.end
 
 
-def test_rocking_leaves_out_corners_beyond_the_limits_and_gives_up_without_any() -> None:
+def test_rocking_skips_corners_beyond_the_limits_and_stops_without_any() -> None:
     edge = (LIMITS.angles[0][0] + math.radians(1.0), 1.6)
     here = edge
     for _ in range(4):
@@ -125,7 +125,7 @@ def test_rocking_leaves_out_corners_beyond_the_limits_and_gives_up_without_any()
     assert rock((low + 0.02, 1.52), (low + 0.02, 1.52), narrow) is None
 
 
-def test_who_knows_nothing_goes_gently_back_to_where_objects_lie_well() -> None:
+def test_without_knowledge_the_palms_return_gently_to_the_home_pose() -> None:
     here, ways = (math.radians(125.0), math.radians(45.0)), 0
     while (move := homewards(here, LIMITS)) is not None:
         assert move.start == here

@@ -1,4 +1,4 @@
-"""The explorer's decisions: the same for the same seed, inside the limits, and honest about why it ends."""
+"""The explorer's decisions: reproducible, within the limits, and with the true reason for ending."""
 
 import math
 from dataclasses import replace
@@ -35,7 +35,7 @@ SHARP = np.full(BINS, 1e-5)
 
 @cache
 def lying(seed=2, mu=0.15):
-    """The likeliest state of an object at rest in a stable pose, and a few like it."""
+    """The likeliest state of an object at rest in a stable pose, and a few samples of the belief."""
     random = np.random.default_rng([seed, 5])
     body = random_body("rig", random)
     state = np.zeros(shape_map.N)
@@ -57,7 +57,7 @@ def explorer(seed=0, **goal):
     return Explorer(RigDescription(), LIMITS, ExploreGoal(**{"coverage": 0.95, "time_limit_s": 60.0} | goal), seed)
 
 
-def test_the_same_seed_decides_the_same():
+def test_the_same_seed_gives_the_same_decisions():
     def moves(seed):
         mine, under_way, found = explorer(seed), STANDING, []
         for number in range(2):
@@ -70,7 +70,7 @@ def test_the_same_seed_decides_the_same():
     assert moves(1) != moves(2)
 
 
-def test_moves_begin_where_the_one_under_way_ends_and_keep_every_limit():
+def test_moves_begin_where_the_current_one_ends_and_keep_all_limits():
     mine, under_way, states = explorer(), STANDING, lying()
     for number in range(4):
         decision = mine.decide(planning_belief(0.5 * number, states=states), under_way)
@@ -83,8 +83,8 @@ def test_moves_begin_where_the_one_under_way_ends_and_keep_every_limit():
         under_way = UnderWay(decision.move, 0.0)  # the next one is decided while it has just begun
 
 
-def test_what_it_does_shows_new_normals_on_the_plant():
-    """A few moves, each from what the plant really did: much more is touched than where the object first lay."""
+def test_chosen_moves_touch_new_normals_on_the_plant():
+    """A few moves, each decided from the plant's true state, touch much more than the object's first pose."""
     random = np.random.default_rng([2, 5])
     body = random_body("rig", random)
     surface = random_surface("rig", random)
@@ -110,13 +110,13 @@ def test_what_it_does_shows_new_normals_on_the_plant():
     assert touched.mean() > 0.3
 
 
-def test_asked_for_no_choice_it_only_judges_the_move_under_way():
+def test_without_a_choice_it_only_judges_the_current_move():
     sliding = UnderWay(Move(POSE, (math.radians(8.0), math.radians(36.0)), 0.3), 0.0)
     assert explorer().decide(planning_belief(), STANDING, choose=False).kind == "safe"
     assert explorer().decide(planning_belief(), sliding, choose=False).kind == "unsafe"
 
 
-def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
+def test_it_is_done_when_enough_is_touched_and_reports_the_reachable_share():
     enough = NOTHING.copy()
     enough[:70] = True  # 97 %
     decision = explorer().decide(planning_belief(touched=enough), STANDING)
@@ -127,8 +127,8 @@ def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
     assert explorer(coverage=1.0).decide(planning_belief(touched=enough), STANDING).kind != "done"
 
 
-def test_it_is_not_done_before_a_smoother_vouches_for_what_is_touched():
-    """A bank that has strayed says so as well: then what was touched is gone once the smoother has found the object."""
+def test_it_is_not_done_before_a_smoother_confirms_the_touched_normals():
+    """A diverged bank also reports full coverage; this is lost once the smoother has found the object."""
     everything = np.ones(BINS, dtype=np.bool_)
     strayed = replace(planning_belief(touched=everything), rig=np.zeros(RIG_CONSTANTS))
     mine = explorer()
@@ -140,7 +140,7 @@ def test_it_is_not_done_before_a_smoother_vouches_for_what_is_touched():
     assert "nothing new" in mine.decide(replace(strayed, t=STUCK_S + 1.0), STANDING).reason
 
 
-def test_a_band_that_was_asked_for_must_be_reached_too():
+def test_a_requested_standard_deviation_must_be_reached_too():
     everything = np.ones(BINS, dtype=np.bool_)
     blunt = SHARP.copy()
     blunt[20] = 1e-4
@@ -149,7 +149,7 @@ def test_a_band_that_was_asked_for_must_be_reached_too():
     assert explorer().decide(planning_belief(touched=everything, h_sd=blunt), STANDING).kind == "done"
 
 
-def test_it_ends_at_the_time_limit_and_names_what_is_missing():
+def test_it_ends_at_the_time_limit_and_names_the_untouched_normals():
     mine = explorer(time_limit_s=10.0)
     gap = np.ones(BINS, dtype=np.bool_)
     gap[10:20] = False
@@ -160,7 +160,7 @@ def test_it_ends_at_the_time_limit_and_names_what_is_missing():
     assert "50–100°" in decision.reason
 
 
-def test_it_gives_up_when_nothing_new_has_come_for_long():
+def test_it_stops_when_nothing_new_was_touched_for_long():
     mine = explorer(time_limit_s=600.0)
     gap = np.ones(BINS, dtype=np.bool_)
     gap[-5:] = gap[:5] = False
@@ -173,8 +173,8 @@ def test_it_gives_up_when_nothing_new_has_come_for_long():
     assert "335–20°" in decision.reason
 
 
-def test_it_goes_on_while_nothing_is_known_yet():
-    """What it would take to know is motion: palms that stand because nothing was found would never find anything."""
+def test_it_continues_while_nothing_is_known():
+    """Only motion can lead to an estimate, so the palms must not stop for lack of one."""
     mine = explorer(time_limit_s=600.0)
     for t in (0.0, STUCK_S + 1.0, 3 * STUCK_S):
         assert mine.decide(planning_belief(t), STANDING).kind != "done"
@@ -184,7 +184,7 @@ def test_it_goes_on_while_nothing_is_known_yet():
     assert mine.decide(planning_belief(5 * STUCK_S + 1.0, some), STANDING).kind == "done"
 
 
-def test_what_a_roadmap_has_learnt_counts_while_nothing_is_touched_yet():
+def test_roadmap_results_are_kept_until_something_is_touched():
     mine = explorer()
     mine.decide(planning_belief(0.0), STANDING)
     mine._roadmap = Mock(complete=False)
@@ -196,7 +196,7 @@ def test_what_a_roadmap_has_learnt_counts_while_nothing_is_touched_yet():
     mine._roadmap.forget.assert_called_once()
 
 
-def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
+def test_inmost_gives_the_wanted_normals_farthest_from_the_others_and_their_depth():
     wanted = np.zeros(BINS, dtype=np.bool_)
     wanted[[70, 71, 0, 1, 2, 30]] = True
     inner, depth = _inmost(wanted, 8)
@@ -207,7 +207,7 @@ def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
     assert _inmost(everything, 8)[0].all()
 
 
-def test_a_move_that_throws_the_object_off_is_unsafe():
+def test_a_move_that_throws_the_object_is_unsafe():
     hasty = UnderWay(Move(POSE, (POSE[0], math.radians(150.0)), 0.12), 0.02)
     decision = explorer().decide(planning_belief(), hasty)
     assert decision.kind == "unsafe"
@@ -216,8 +216,8 @@ def test_a_move_that_throws_the_object_off_is_unsafe():
     assert explorer().decide(planning_belief(), gentle).kind == "move"
 
 
-def test_arcs_do_not_close_upon_a_first_estimate_of_the_friction():
-    """Between tangents 20° apart a circle slides with μ = 0.1 and is wedged with 0.3; a smoother knows which it is."""
+def test_curved_palms_do_not_close_while_friction_is_uncertain():
+    """Between tangents 20° apart a circle slides with μ = 0.1 and is wedged with 0.3; a smoother determines which."""
     curvatures, radius = (13.3, 13.3), 0.021
     rig = RigDescription(pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))
     limits = replace(LIMITS, curvatures=curvatures)
@@ -229,20 +229,20 @@ def test_arcs_do_not_close_upon_a_first_estimate_of_the_friction():
     states[:, shape_map.Z.SHAPE + 3] = 2e-4  # nearly a circle, which would rest anywhere
     closing = UnderWay(Move(wide, closed, 1.6), 0.02)
     first = replace(planning_belief(states=states), rig=np.zeros(RIG_CONSTANTS))
-    vouched = replace(first, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
+    confirmed = replace(first, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
 
     def judged(known, on=rig, within=limits):
         return Explorer(on, within, ExploreGoal(coverage=0.95, time_limit_s=60.0)).decide(known, closing, choose=False)
 
     assert judged(first).kind == "unsafe"
-    assert judged(vouched).kind == "safe"
+    assert judged(confirmed).kind == "safe"
     rough = states.copy()
     rough[:, shape_map.Z.MU] = 0.3
-    assert judged(replace(vouched, states=rough)).kind == "unsafe", "it would be wedged"
+    assert judged(replace(confirmed, states=rough)).kind == "unsafe", "high friction would wedge it"
 
 
-def test_what_is_safe_with_the_likeliest_state_only_is_not_done():
-    """One sample, so large that it leaves the pads, is enough to refuse the move that would be made otherwise."""
+def test_a_move_that_is_safe_for_the_likeliest_state_only_is_not_made():
+    """One sample so large that it leaves the pads is enough to reject the move chosen otherwise."""
     states = lying().copy()
     states[3, shape_map.Z.SHAPE] *= 3.5
     doubtful, sure = (
@@ -258,8 +258,8 @@ def test_what_is_safe_with_the_likeliest_state_only_is_not_done():
     [((44.0, 47.0), (89.0, 92.0)), ((45.0, 45.5), (60.0, 120.0)), ((85.0, 150.0), (85.0, 155.0))],
     ids=["one pose", "one angle", "one sum"],
 )
-def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
-    """Until the roadmap, if only of one pose, is complete and in use."""
+def test_very_narrow_limits_are_kept(phi1_deg, phi2_deg):
+    """Until the roadmap, even of a single pose, is complete and in use."""
     limits = MotionLimits.from_config(LimitsConfig(phi1_deg=phi1_deg, phi2_deg=phi2_deg), pad_length=LIMITS.pad_length)
     mine = Explorer(RigDescription(), limits, ExploreGoal(coverage=0.95, time_limit_s=60.0))
     here = (math.radians(phi1_deg[0] + 0.25), math.radians(phi2_deg[0] + 1.0))
@@ -272,14 +272,14 @@ def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
 
 
 def open_rig(constant, off):
-    """All is touched, and one constant of the rig is known to `off` alone, and with it the radius."""
+    """Everything is touched; one constant of the rig is known to `off` only, and so is the radius."""
     spread = np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS))
     spread[0, 0], spread[2 * ORDER + 1 + constant, 0] = 5e-5, off
     everything = np.ones(BINS, dtype=np.bool_)
     return replace(planning_belief(touched=everything), rig=np.zeros(RIG_CONSTANTS), rig_spread=spread)
 
 
-def test_with_all_touched_it_goes_on_for_what_touch_tells_of_the_rig():
+def test_with_all_touched_it_continues_while_touch_can_determine_the_rig():
     ajar = open_rig(R.TURN, math.radians(0.1))
     mine = explorer()
     decision = mine.decide(ajar, STANDING)
@@ -292,44 +292,44 @@ def test_with_all_touched_it_goes_on_for_what_touch_tells_of_the_rig():
     assert explorer().decide(replace(known, h_sd=np.full(BINS, 1e-4)), STANDING).kind == "done"
 
 
-def test_for_what_no_touch_tells_of_the_rig_it_does_not_go_on():
+def test_it_does_not_continue_for_unobservable_rig_constants():
     decision = explorer().decide(open_rig(R.STANDOFF, 5e-5), STANDING)
     assert decision.kind == "done"
     assert "100%" in decision.reason
 
 
-def test_it_is_done_when_no_motion_tells_more_of_the_rig():
-    """What moves the readings by a thousandth of their noise costs more than all else, and yet is not to be had."""
+def test_it_is_done_when_no_motion_determines_the_rig_better():
+    """A constant that moves the readings by a thousandth of their noise costs most, and yet cannot be determined."""
     ajar = open_rig(R.TURN, math.radians(0.1))
     ajar = replace(ajar, rig_spread=0.002 * ajar.rig_spread, h_sd=np.full(BINS, 1e-9))
     assert explorer().decide(ajar, STANDING).kind == "done"
 
 
-def test_what_its_moves_will_tell_counts_until_a_smoother_has_answered():
-    """The same outlook again and again is no reason to do the same again and again; nor to be done."""
+def test_the_expected_information_of_its_moves_counts_until_a_smoother_answers():
+    """The same belief again and again is a reason neither to repeat a move nor to be done."""
     ajar, mine = open_rig(R.TURN, math.radians(0.1)), explorer()
     counted = []
     for _ in range(3):
         assert mine.decide(ajar, STANDING).kind == "move"
         counted.append(np.trace(mine._expected))
     assert 0.0 < counted[0] < counted[1] < counted[2]
-    told = replace(ajar, rig_spread=0.002 * ajar.rig_spread, h_sd=np.full(BINS, 1e-9))
-    assert mine.decide(told, STANDING).kind == "done"  # it has answered, and nothing tells more
+    answered = replace(ajar, rig_spread=0.002 * ajar.rig_spread, h_sd=np.full(BINS, 1e-9))
+    assert mine.decide(answered, STANDING).kind == "done"  # it has answered, and no motion gives more information
 
 
 FORCE_LIMIT_N = 5.0
 
 
 def pressing(belief, decision):
-    """The most that a pad is foreseen to feel on the way (N), of the object as it is believed to be."""
+    """The largest predicted force on a pad (N) during the move, for the object of this belief."""
     move = decision.move
     moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
     predicted = RolloutPredictor(rig_inputs(RigDescription())).of(belief.states[0], moves)
     return belief.mass * float(np.nanmax(predicted.path[..., MEAN_FORCES]))
 
 
-def test_no_pad_is_pressed_harder_than_it_may_be():
-    """Closing palms press an object with more than its weight, which a heavy one may not be."""
+def test_moves_keep_the_pads_force_limits():
+    """Closing palms press on an object with more than its weight, which can exceed the limit for a heavy one."""
     heavy = replace(planning_belief(), mass=0.3, mass_sd=0.003)
     limited = replace(LIMITS, pad_forces=(FORCE_LIMIT_N,) * 2)
     closing = UnderWay(Move(POSE, (math.radians(60.0), math.radians(50.0)), 4.0), 0.02)
@@ -341,19 +341,20 @@ def test_no_pad_is_pressed_harder_than_it_may_be():
     assert judged(heavy).kind == "unsafe"
     assert "force limit" in judged(heavy).reason
     assert judged(replace(heavy, mass=0.1)).kind == "safe"
-    assert judged(replace(heavy, mass=math.nan)).kind == "safe", "nobody knows"
-    assert judged(heavy, replace(LIMITS, pad_forces=())).kind == "safe", "anything may press on these"
+    assert judged(replace(heavy, mass=math.nan)).kind == "safe", "an unknown mass sets no limit"
+    assert judged(heavy, replace(LIMITS, pad_forces=())).kind == "safe", "these pads have no force limit"
 
     mine, under_way = Explorer(RigDescription(), limited, ExploreGoal(coverage=0.95, time_limit_s=60.0)), STANDING
     for number in range(6):
-        known = heavy if number % 2 == 0 else replace(heavy, mass=math.nan)  # a moment after a reading was saturated
+        # the mass is unknown for a moment after a saturated reading
+        known = heavy if number % 2 == 0 else replace(heavy, mass=math.nan)
         decision = mine.decide(replace(known, t=0.5 * number), under_way)
         if decision.kind == "move":
             assert pressing(heavy, decision) < FORCE_LIMIT_N
 
 
 def hopping(mu):
-    """In how many of some decisions the move may make a contact hop, by the likeliest state."""
+    """The number of decisions whose move may make a contact hop, for the likeliest state."""
     mine, under_way, states, found = explorer(), STANDING, lying(mu=mu), 0
     predictor = RolloutPredictor(rig_inputs(RigDescription()))
     for number in range(8):
@@ -369,7 +370,7 @@ def hopping(mu):
     return found
 
 
-def test_moves_in_which_contacts_may_hop_are_made_only_where_others_bring_nothing(monkeypatch):
+def test_moves_with_possible_hops_are_avoided(monkeypatch):
     careful = hopping(0.2)
     monkeypatch.setattr("palmd.motion.explorer.HOP_S", 0.0)
     monkeypatch.setattr("palmd.motion.roadmap.HOP_S", 0.0)

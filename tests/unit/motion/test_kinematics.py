@@ -1,4 +1,4 @@
-"""The arc hinge by hand: the palms as a straightedge-and-compass construction would place them."""
+"""Kinematics of the arc hinge, against constructions by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_the_shipped_rig_at_45_and_90_degrees() -> None:
     assert math.degrees(t) == pytest.approx(135.0)
 
 
-def test_yaw_turns_the_arms_coordinates_and_the_tool_angle() -> None:
+def test_yaw_rotates_the_arms_coordinates_and_the_tool_angle() -> None:
     turned = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.1, math.radians(90))
     x, y, t = turned.arm_pose((math.radians(45), math.radians(90)))
     # E − base = (250.294, −100); in axes turned by +90° that is x′ = y, y′ = −x.
@@ -30,7 +30,7 @@ def test_yaw_turns_the_arms_coordinates_and_the_tool_angle() -> None:
     assert math.degrees(t) == pytest.approx(45.0)
 
 
-def test_inverse_against_complex_numbers_with_unequal_palms() -> None:
+def test_inverse_kinematics_with_unequal_palms() -> None:
     rig = RigGeometry(0.1, 0.02, 0.13, 0.09, 0.4, -0.3, math.radians(-120))
     for phi1_deg, phi2_deg in ((10, 40), (80, 90), (149, 35), (-160, 170)):
         phi1, phi2 = math.radians(phi1_deg), math.radians(phi2_deg)
@@ -41,7 +41,7 @@ def test_inverse_against_complex_numbers_with_unequal_palms() -> None:
 
 
 @pytest.mark.parametrize("x", [0.42 + 0.2401, 0.42 - 0.2401, 5.0, math.nan, math.inf])
-def test_unreachable_positions_say_how_far_the_palms_reach(x: float) -> None:
+def test_unreachable_positions_are_refused_with_the_reach(x: float) -> None:
     with pytest.raises(PoseError, match=r"0\.0 to 240\.0 mm|0\.0\s*to 240\.0 mm"):
         GEOMETRY.palm_angles(x, 0.0)
 

@@ -1,4 +1,4 @@
-"""Plans become trajectories, or are refused with the segment, the value and the bound."""
+"""Plans become trajectories, or are refused with the segment, the value and the limit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def degrees(trajectory: Trajectory, tau: float) -> tuple[float, float]:
     return math.degrees(motion.angles[0]), math.degrees(motion.angles[1])
 
 
-def test_a_first_move_is_left_to_the_approach_and_made_in_every_later_round() -> None:
+def test_a_first_move_is_replaced_by_the_approach_in_the_first_round_only() -> None:
     trajectory = made(HOME_MOVE, {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}, {"hold_s": 1.0}, repeat=3)
     assert (trajectory.start, trajectory.lead_in) == (HOME, 2.0)
     # 20°/s: ramps of 1.875·20/450 s; 10° at 20°/s and one ramp make 0.5 s + 83.3 ms.
@@ -57,14 +57,14 @@ def test_rate_segment_runs_at_its_rate_and_stops_at_until() -> None:
     assert degrees(trajectory, trajectory.duration) == pytest.approx((35, 94))
 
 
-def test_a_single_move_has_nothing_left_but_its_end() -> None:
+def test_a_plan_of_a_single_move_consists_of_its_end() -> None:
     trajectory = made(HOME_MOVE)
     assert trajectory.duration == 0.0
     assert degrees(trajectory, 0.0) == pytest.approx((45, 90))
     assert trajectory.place(0.0).progress == 1.0
 
 
-def test_rounds_that_do_not_begin_with_a_move_go_on_from_where_they_ended() -> None:
+def test_rounds_without_a_first_move_continue_from_their_end() -> None:
     there_and_half_back = (
         {"rate": {"phi1_deg_s": 10, "phi2_deg_s": 1}, "until": {"phi1_deg": 55}},
         {"rate": {"phi1_deg_s": -10}, "until": {"phi1_deg": 45}},
@@ -74,14 +74,14 @@ def test_rounds_that_do_not_begin_with_a_move_go_on_from_where_they_ended() -> N
     for number in range(1, 4):
         joint = sum(done.duration for done in trajectory.rounds[:number])
         assert degrees(trajectory, joint - 1e-9) == pytest.approx(degrees(trajectory, joint + 1e-9), abs=1e-6)
-    (said,) = refused(*there_and_half_back, repeat="forever")
-    assert said.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
+    (message,) = refused(*there_and_half_back, repeat="forever")
+    assert message.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
     # φ2 leaves its limit of 155° in the course of 80 rounds.
-    said = refused(*there_and_half_back, repeat=80)
-    assert any("phi2 reaches" in each or "phi12 = phi1 + phi2" in each for each in said)
+    message = refused(*there_and_half_back, repeat=80)
+    assert any("phi2 reaches" in each or "phi12 = phi1 + phi2" in each for each in message)
 
 
-def test_forever_is_endless_and_periodic() -> None:
+def test_a_plan_that_repeats_forever_is_endless_and_periodic() -> None:
     trajectory = made(
         HOME_MOVE,
         {"sine": {"phi1_deg": 18, "phi2_deg": 8}, "frequency_hz": 0.5, "duration_s": 10},
@@ -95,7 +95,7 @@ def test_forever_is_endless_and_periodic() -> None:
     assert trajectory.place(10.0 + 6.0).progress == pytest.approx(0.5)
 
 
-def test_place_counts_segments_and_progress() -> None:
+def test_place_gives_segment_and_progress() -> None:
     trajectory = made(HOME_MOVE, {"hold_s": 1.0}, {"hold_s": 3.0})
     place = trajectory.place(1.5)
     assert (place.segment, place.label, place.progress) == (2, "hold_s", pytest.approx(0.375))
@@ -110,17 +110,17 @@ def test_a_plan_without_a_move_starts_where_the_palms_stand() -> None:
     assert home(narrow) == pytest.approx((math.radians(50), math.radians(90)))
 
 
-def test_dither_rides_on_the_whole_plan_and_begins_and_ends_at_rest() -> None:
+def test_dither_is_added_to_the_whole_plan_and_begins_and_ends_at_rest() -> None:
     trajectory = made(HOME_MOVE, {"hold_s": 3.0}, dither={"amplitude_deg": 0.1, "frequency_hz": 10})
     for end in (0.0, 3.0):
         motion = trajectory.at(end)
         assert (motion.rates[0], motion.accelerations[1]) == pytest.approx((0, 0), abs=1e-9)
-    # Crest of the 16th swing: a quarter period past 1.5 s.
+    # Crest of the 16th period: a quarter period after 1.5 s.
     assert degrees(trajectory, 1.525) == pytest.approx((45.1, 90.1))
 
 
 @pytest.mark.parametrize(
-    ("segment", "said"),
+    ("segment", "message"),
     [
         (
             {"move": {"phi1_deg": 163, "phi2_deg": 35}, "duration_s": 9},
@@ -163,9 +163,9 @@ def test_dither_rides_on_the_whole_plan_and_begins_and_ends_at_rest() -> None:
         ),
     ],
 )
-def test_refusals_name_segment_value_and_bound(segment: dict[str, Any], said: str) -> None:
+def test_refusals_name_segment_value_and_limit(segment: dict[str, Any], message: str) -> None:
     lines = refused(HOME_MOVE, segment)
-    assert any(line.startswith(f"segments.1: {said}") for line in lines), lines
+    assert any(line.startswith(f"segments.1: {message}") for line in lines), lines
 
 
 def test_a_rate_above_the_limit_is_refused() -> None:
@@ -176,7 +176,7 @@ def test_a_rate_above_the_limit_is_refused() -> None:
     ]
 
 
-def test_the_shortest_duration_offered_is_taken() -> None:
+def test_the_suggested_shortest_duration_is_accepted() -> None:
     for target in (50, 60, 75):
         (line, *_) = refused(HOME_MOVE, {"move": {"phi1_deg": target}, "duration_s": 0.02})
         shortest = float(line.split("duration_s must be ")[1].split()[0])
@@ -184,7 +184,7 @@ def test_the_shortest_duration_offered_is_taken() -> None:
         refused(HOME_MOVE, {"move": {"phi1_deg": target}, "duration_s": shortest - 0.02})
 
 
-def test_all_faults_at_once_and_only_the_segment_that_left_is_blamed() -> None:
+def test_all_errors_are_reported_together_for_the_segments_that_cause_them() -> None:
     lines = refused(
         HOME_MOVE,
         {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 81}},
@@ -198,24 +198,24 @@ def test_all_faults_at_once_and_only_the_segment_that_left_is_blamed() -> None:
     ]
 
 
-def test_what_a_plan_says_is_named_before_what_follows_from_it() -> None:
+def test_direct_violations_are_named_before_derived_ones() -> None:
     assert refused(HOME_MOVE, {"move": {"phi1_deg": 40, "phi2_deg": 160}, "duration_s": 9}) == [
         "segments.1: phi2 reaches 160°, the limit is 155°",
         "segments.1: phi12 = phi1 + phi2 reaches 200°, it must stay below 172°",
     ]
 
 
-def test_a_first_pose_out_of_limits_is_refused() -> None:
+def test_a_first_pose_outside_the_limits_is_refused() -> None:
     assert refused({"move": {"phi1_deg": 160, "phi2_deg": 10}, "duration_s": 2}, {"hold_s": 1.0}) == [
         "segments.0: phi1 reaches 160°, the limit is 150°",
         "segments.0: phi2 falls to 10°, the limit is 35°",
     ]
 
 
-def test_the_way_back_of_a_repeat_is_checked_too() -> None:
+def test_the_way_back_of_a_repetition_is_checked() -> None:
     far = {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 80}}
     quick_home = {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.4}
-    made(quick_home, far)  # the approach takes what it needs
+    made(quick_home, far)  # the approach takes the time that it needs
     rate, acceleration, *_ = refused(quick_home, far, repeat=2)
     assert rate.startswith("segments.0: the rate of phi1 reaches")
     assert acceleration.startswith("segments.0: the acceleration of phi1 reaches")
@@ -224,13 +224,13 @@ def test_the_way_back_of_a_repeat_is_checked_too() -> None:
 def test_dither_counts_against_the_limits() -> None:
     sine = {"sine": {"phi1_deg": 15}, "frequency_hz": 1.0, "duration_s": 10}  # 592°/s²
     made(HOME_MOVE, sine)
-    (said,) = refused(HOME_MOVE, sine, dither={"amplitude_deg": 0.1, "frequency_hz": 10})  # 395°/s² more
-    assert said.startswith("segments.1: the acceleration of phi1 reaches 10")
+    (message,) = refused(HOME_MOVE, sine, dither={"amplitude_deg": 0.1, "frequency_hz": 10})  # 395°/s² more
+    assert message.startswith("segments.1: the acceleration of phi1 reaches 10")
     lines = refused(HOME_MOVE, {"hold_s": 1.0}, dither={"amplitude_deg": 0.3, "frequency_hz": 10})
     assert lines[0].startswith("dither: takes 132% of the limit of the acceleration of phi1")
 
 
-def test_the_arms_workspace_and_speed_are_limits_once_known() -> None:
+def test_the_arms_workspace_and_speed_are_limits_when_known() -> None:
     slow = Workspace(GEOMETRY, 0.0, 0.5, -0.3, 0.3, speed=0.05, acceleration=1.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=slow)
     lines = refused(HOME_MOVE, {"move": {"phi1_deg": 60}, "duration_s": 1.0}, limits=limits)
@@ -238,11 +238,11 @@ def test_the_arms_workspace_and_speed_are_limits_once_known() -> None:
     assert "the limit is 50 mm/s; duration_s must be 1.67 or more" in lines[0]
     small = Workspace(GEOMETRY, 0.0, 0.26, -0.3, 0.3, speed=1.0, acceleration=10.0)
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, workspace=small)
-    (said,) = refused(HOME_MOVE, {"move": {"phi2_deg": 80}, "duration_s": 3.0}, limits=limits)
-    assert said.startswith("segments.1: the arm's x reaches 26")
+    (message,) = refused(HOME_MOVE, {"move": {"phi2_deg": 80}, "duration_s": 3.0}, limits=limits)
+    assert message.startswith("segments.1: the arm's x reaches 26")
 
 
-def test_an_exploration_begins_where_the_plan_leads_and_never_ends_by_itself() -> None:
+def test_an_exploration_begins_at_the_plans_end_and_is_endless() -> None:
     trajectory = made(HOME_MOVE, {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 55}}, {"explore": {}})
     assert trajectory.duration == math.inf
     begins = trajectory.rounds[0].begins[-1]
@@ -259,19 +259,19 @@ def test_an_exploration_begins_where_the_plan_leads_and_never_ends_by_itself() -
     assert trajectory.place(begins - 0.01).label == "rate"
 
 
-def test_an_exploration_is_the_last_segment_and_runs_once_without_dither() -> None:
+def test_an_exploration_with_repeat_dither_or_later_segments_is_refused() -> None:
     lines = refused(
         HOME_MOVE, {"explore": {}}, {"hold_s": 1}, repeat="forever", dither={"amplitude_deg": 0.1, "frequency_hz": 10}
     )
     assert [line.split(":")[0] for line in lines] == ["dither", "repeat", "segments.1"]
 
 
-def test_where_an_exploration_begins_is_checked() -> None:
+def test_the_start_of_an_exploration_is_checked() -> None:
     with pytest.raises(PlanError, match=r"segments\.0: phi1 falls to 3°"):
         compile_plan(plan({"explore": {}}), LIMITS, (math.radians(3), math.radians(90)))
 
 
-def test_approach_is_gentle_takes_its_least_time_and_stays_within_limits() -> None:
+def test_the_approach_is_gentle_keeps_its_least_duration_and_the_limits() -> None:
     far = approach(HOME, (math.radians(75), math.radians(90)), LIMITS, 0.5)
     fastest = max(far.at(t).rates[0] for t in far.sample_times())
     assert math.degrees(fastest) == pytest.approx(30.0, rel=1e-3)  # a quarter of 120°/s

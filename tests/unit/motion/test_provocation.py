@@ -1,4 +1,4 @@
-"""Rounds that turn what sticks: checked against the emulated body on dry palms, which knows nothing of them."""
+"""Rounds of motion that turn a sticking object, checked against an emulated disc on dry palms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def contacts(opening: float) -> tuple[float, float]:
     return (RADIUS_M / math.tan(opening / 2),) * 2
 
 
-def test_leaning_to_a_palm_makes_the_other_let_go_more_easily_as_they_open() -> None:
+def test_leaning_to_a_palm_makes_the_other_slip_sooner_as_the_palms_open() -> None:
     opening = math.radians(90.0)
     assert not slips((math.radians(45.0), opening), 0, True)
     assert slips((math.radians(70.0), opening), 0, True)
@@ -37,18 +37,18 @@ def test_leaning_to_a_palm_makes_the_other_let_go_more_easily_as_they_open() -> 
 def test_the_corners_keep_the_contacts_on_the_pads_and_go_both_ways() -> None:
     corners = rounds(contacts(HOME[1]), HOME, LIMITS)
     assert len(corners) == 2 * 4 * ROUNDS
-    assert corners[0][0] < corners[len(corners) // 2][0]  # leans to palm 1 first, the other way to palm 2
+    assert corners[0][0] < corners[len(corners) // 2][0]  # leans to palm 1 first, and to palm 2 in the other direction
     assert sorted({opening for _, opening in corners}) == pytest.approx([CLOSED, OPEN])
     large = {opening for _, opening in rounds((0.05, 0.05), HOME, LIMITS)}
     assert min(large) > math.radians(95.0)
 
 
-def test_where_there_is_no_room_nothing_moves() -> None:
+def test_without_room_nothing_moves() -> None:
     narrow = MotionLimits.from_config(LimitsConfig(phi1_deg=(44.0, 46.0)), pad_length=0.0555)
     assert provoke(HOME, rounds(contacts(HOME[1]), HOME, narrow), narrow) is None
 
 
-def test_a_disc_that_sticks_is_turned_on_as_foreseen_by_each_round_and_back_again() -> None:
+def test_a_sticking_disc_is_turned_as_predicted_by_each_round_and_back() -> None:
     opening = HOME[1]
     here, move_on = HOME, 2.0 * (1.0 / math.tan(CLOSED / 2) - 1.0 / math.tan(OPEN / 2)) - (OPEN - CLOSED)
     plant = DryPlant(cylinder(RADIUS_M, 0.1), Hinge("fixed"), DRY)

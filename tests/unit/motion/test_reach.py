@@ -1,4 +1,4 @@
-"""Which normals of an outline palms can touch: of a circle, which rests anywhere, all of them."""
+"""Which normals of an outline the palms can touch; a circle, which rests anywhere, has no stable poses."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ def test_a_circle_has_no_surface_of_stable_poses():
     assert len(surface.psi) == len(surface.links) == 0
 
 
-def test_a_circle_shows_all_round_what_it_shows_of_itself():
+def test_a_circles_whole_outline_is_reachable():
     oval = CIRCLE.copy()
     oval[3] = 1e-6
     assert reach(CIRCLE, LIMITS).all()
     assert (reach(CIRCLE, LIMITS) == reach(oval, LIMITS)).all()
 
 
-def test_a_circle_that_leaves_the_pads_shows_nothing():
+def test_a_circle_that_leaves_the_pads_is_not_reachable():
     assert not reach(50.0 * CIRCLE, LIMITS).any()

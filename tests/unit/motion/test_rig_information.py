@@ -1,4 +1,4 @@
-"""What motions tell of the rig's constants: a circle's readings in closed form, and what no touch tells."""
+"""Information of motions about the rig's constants: a circle in closed form, and unobservable constants."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OUTLINE = 2 * ORDER + 1
 
 
 def circle(*steps: dict[int, float], radius_m: float = 0.0) -> PlanningBelief:
-    """A circle known but for independent `steps` of the rig's constants; the first also moves its radius."""
+    """A circle known but for independent `steps` of the rig's constants; the first also changes its radius."""
     states = np.zeros((1, shape_map.N))
     states[0, shape_map.Z.SHAPE] = RADIUS_M
     spread = np.zeros((OUTLINE + RIG_CONSTANTS, RIG_CONSTANTS))
@@ -35,32 +35,32 @@ def circle(*steps: dict[int, float], radius_m: float = 0.0) -> PlanningBelief:
 
 
 def standing(opening: float, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """The path of a stand with the palms this far open (rad), and the duration of its only move."""
+    """The path of a stand at this opening of the palms (rad), and the duration of its only move."""
     path = np.zeros((1, round(seconds / CALL_S), OUTPUTS))
     path[..., THETA] = normal_directions((0.7, opening), 0.0)
     return path, np.array([[seconds]])
 
 
 @pytest.mark.parametrize("opening_deg", [50.0, 90.0, 130.0])
-def test_an_opening_that_is_off_is_told_as_a_circle_tells_it(opening_deg: float) -> None:
-    """Both palms read s = r cot(φ2/2), and r is believed larger by so much for each radian that φ2 is off."""
+def test_the_information_about_the_opening_matches_the_closed_form_for_a_circle(opening_deg: float) -> None:
+    """Both palms read s = r cot(φ2/2), and the belief about r changes proportionally to the error of φ2."""
     off, opening = 2e-3, math.radians(opening_deg)
     belief = circle({R.TURN: off}, radius_m=off * RADIUS_M)
     cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
     assert cost.sd == pytest.approx(off * RADIUS_M)
     rig = RigDescription()
-    told = RigInformation(rig).of(belief, cost, *standing(opening, 0.4))
+    information = RigInformation(rig).of(belief, cost, *standing(opening, 0.4))
     moved = off * RADIUS_M * (1.0 / math.tan(opening / 2) - 0.5 / math.sin(opening / 2) ** 2)
     expected = 2 * 0.4 / READING_S * moved**2 / rig.pads[0].reading_variance
-    assert np.trace(told[0, 0]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    assert cost.share_determined(told)[0, 0] == pytest.approx(expected / (1 + expected), rel=1e-6, abs=1e-9)
+    assert np.trace(information[0, 0]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert cost.share_determined(information)[0, 0] == pytest.approx(expected / (1 + expected), rel=1e-6, abs=1e-9)
     again = 1 / (1 + expected) - 1 / (1 + 2 * expected)
-    assert cost.share_determined(told, told[0, 0])[0, 0] == pytest.approx(again, rel=1e-6, abs=1e-9)
+    assert cost.share_determined(information, information[0, 0])[0, 0] == pytest.approx(again, rel=1e-6, abs=1e-9)
 
 
-def test_what_no_touch_tells_costs_nothing() -> None:
-    """Standoffs, and both scales alike, are left out; scales that differ are not."""
+def test_unobservable_constants_have_no_cost() -> None:
+    """Standoffs and a common scale are left out; a difference of scales is not."""
     step = 2e-4
     for never in ({R.STANDOFF: step}, {R.STANDOFF + 1: step}, {R.SCALE: 0.01, R.SCALE + 1: 0.01}):
         cost = rig_cost(circle(never, radius_m=step), EVERYWHERE)
@@ -72,8 +72,8 @@ def test_what_no_touch_tells_costs_nothing() -> None:
     assert cost.sd == pytest.approx(step)
 
 
-def test_orientation_is_no_way_to_tell_it() -> None:
-    """What a turn of the object explains as well is no information: φ1's error, which turns all normals."""
+def test_errors_equivalent_to_a_rotation_give_no_information() -> None:
+    """An error of φ1 turns all normals, as a rotation of the object does."""
     belief = circle({R.TILT: 2e-3}, radius_m=1e-5)
     belief.states[0, shape_map.Z.SHAPE + 3] = 1e-3
     belief.rig_spread[0, 0] = 0.0
@@ -81,10 +81,10 @@ def test_orientation_is_no_way_to_tell_it() -> None:
     cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
     free = RigInformation(RigDescription()).of(belief, cost, *standing(1.2, 0.4))
-    assert np.trace(free[0, 0]) < 1e-3  # 40 readings of each pad that it moves by some tenths of a sigma
+    assert np.trace(free[0, 0]) < 1e-3  # 40 readings of each pad, which it moves by some tenths of a sigma
 
 
-def test_each_move_adds_to_those_before() -> None:
+def test_information_of_moves_accumulates() -> None:
     belief = circle({R.TURN: 2e-3}, {R.ZERO: 1e-4})
     cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
@@ -92,11 +92,11 @@ def test_each_move_adds_to_those_before() -> None:
     path, _ = standing(1.2, 0.8)
     split = information.of(belief, cost, path, np.array([[0.4, 0.4]]))
     assert np.allclose(split[0, 1], 2 * split[0, 0])
-    path[:, 10:] = np.nan  # not looked at
+    path[:, 10:] = np.nan  # not used
     cut = information.of(belief, cost, path, np.array([[0.4, 0.4]]))
     assert np.allclose(cut[0, 0], cut[0, 1])
 
 
-def test_of_a_rig_that_nothing_is_known_of_there_is_no_cost() -> None:
+def test_without_knowledge_of_the_rig_there_is_no_cost() -> None:
     belief = circle()
     assert rig_cost(PlanningBelief(0.0, belief.states, EVERYWHERE, belief.h_sd, 1), EVERYWHERE) is None

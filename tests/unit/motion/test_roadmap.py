@@ -1,4 +1,4 @@
-"""The roadmap: what it promises is kept by the same dynamics, and it leads where no few moves drawn at random do."""
+"""The roadmap: its promises hold in the same dynamics, and it leads where short random sequences do not."""
 
 import math
 from functools import cache
@@ -54,7 +54,7 @@ def bins(*which):
 
 
 def rolled(here, psi, ends):
-    """What comes of going from `here` to each of `ends`, as the roadmap's moves go, from rest at psi."""
+    """The result of moving from `here` to each of `ends`, as the roadmap's moves do, from rest at psi."""
     start = state().copy()
     start[shape_map.Z.PSI] = psi
     rates = np.full((len(ends), 1), candidates.RATE_SHARE * LIMITS.rate)
@@ -62,7 +62,7 @@ def rolled(here, psi, ends):
     return PREDICTOR.of(start, moves), moves
 
 
-def test_its_poses_keep_the_limits_and_reach_their_rims():
+def test_poses_keep_the_limits_and_extend_to_their_edges():
     poses = roadmap().poses
     for pose in poses:
         assert not problems(LIMITS.bounds, ranges([LIMITS.values(Move(tuple(pose), tuple(pose), 0.1).at(0.0))]))
@@ -72,8 +72,8 @@ def test_its_poses_keep_the_limits_and_reach_their_rims():
     assert poses[:, 0].min() < math.radians(10.0)
 
 
-def test_on_a_cradle_its_poses_are_as_close_for_the_tangents_and_none_is_wedged():
-    """A circle of radius a on equal palms: cos(φ2/2) = (1 − κa) cos(β/2), β between the tangents."""
+def test_on_a_cradle_the_poses_are_equally_dense_in_the_tangents_and_none_wedges():
+    """A circle of radius a on equal palms: cos(φ2/2) = (1 − κa) cos(β/2), with β between the tangents."""
     kappa, radius, mu = 13.3, 0.022, 0.12
     limits = MotionLimits.from_config(
         LimitsConfig(phi1_deg=(0.0, 110.0), phi2_deg=(60.0, 165.0)), pad_length=0.0555, curvatures=(kappa, kappa)
@@ -81,15 +81,15 @@ def test_on_a_cradle_its_poses_are_as_close_for_the_tangents_and_none_is_wedged(
     known = state().copy()
     known[shape_map.Z.SHAPE], known[shape_map.Z.MU] = radius, mu
     poses = Roadmap(PREDICTOR, limits, known).poses
-    felt = 2 * np.arccos(np.cos(poses[:, 1] / 2) / (1 - kappa * radius))
-    assert felt.min() > 2 * math.atan(mu) + math.radians(8.0)
-    assert felt.min() < math.radians(30.0), "friction alone bounds it"
-    apart = -np.diff(felt)[np.diff(poses[:, 0]) == 0.0]
+    tangent_angles = 2 * np.arccos(np.cos(poses[:, 1] / 2) / (1 - kappa * radius))
+    assert tangent_angles.min() > 2 * math.atan(mu) + math.radians(8.0)
+    assert tangent_angles.min() < math.radians(30.0), "only friction limits it"
+    apart = -np.diff(tangent_angles)[np.diff(poses[:, 0]) == 0.0]
     assert len(apart) > 15
     assert apart.max() < 1.5 * STEP
 
 
-def test_it_is_complete_once_each_pose_has_been_looked_at():
+def test_it_is_complete_after_each_pose_has_been_processed():
     young = Roadmap(PREDICTOR, LIMITS, state())
     assert not young.complete
     young.renew(state(), 3)
@@ -98,11 +98,11 @@ def test_it_is_complete_once_each_pose_has_been_looked_at():
     assert young.complete
 
 
-def test_where_nothing_is_wanted_it_takes_for_ever():
+def test_without_wanted_normals_the_time_is_infinite():
     assert (roadmap().time_to(bins()).seconds == NEVER_S).all()
 
 
-def test_between_its_poses_it_promises_nothing():
+def test_between_its_poses_it_gives_no_time():
     to_go = roadmap().time_to(bins(*range(BINS)))
     on = to_go.poses[np.abs(to_go.poses - np.radians((45.0, 90.0))).max(axis=1).argmin()]
     off = on + 0.01
@@ -112,8 +112,8 @@ def test_between_its_poses_it_promises_nothing():
     assert to_go.nearest(off) == pytest.approx(on)
 
 
-def test_no_move_is_quicker_than_it_says():
-    """Bellman's equation from above, each move rolled forward here: no way by a next pose beats the time to go."""
+def test_no_move_is_quicker_than_the_roadmaps_time():
+    """Bellman's equation from above, with each move simulated here: no route by a next pose is quicker."""
     wanted = bins(*range(30, 36))
     to_go = roadmap().time_to(wanted)
     random = np.random.default_rng(3)
@@ -122,17 +122,17 @@ def test_no_move_is_quicker_than_it_says():
         here, place = to_go.poses[number], BETWEEN * random.integers(0, ORIENTATIONS)
         apart = np.abs(to_go.poses - here).max(axis=1)
         ends = to_go.poses[(apart > 0) & (apart < math.radians(45.0))]
-        foreseen, moves = rolled(here, place * TURN, ends)
-        seconds, safe = moves.durations[:, 0], goodness(foreseen, moves, LIMITS)[:, 0] > 1.0
-        after = np.where((foreseen.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, foreseen.psi[:, 0]))
+        predicted, moves = rolled(here, place * TURN, ends)
+        seconds, safe = moves.durations[:, 0], goodness(predicted, moves, LIMITS)[:, 0] > 1.0
+        after = np.where((predicted.touched[:, 0] & wanted).any(axis=1), 0.0, to_go.at(ends, predicted.psi[:, 0]))
         if safe.any():
             compared += 1
             assert to_go.seconds[number, place] <= (seconds + after)[safe].min() + 0.02
     assert compared > 4
 
 
-def test_following_it_leads_to_what_is_wanted():
-    """From wherever it says seconds, its own greedy policy gets there on the model, though not always that soon."""
+def test_its_greedy_policy_reaches_the_wanted_normals():
+    """From wherever the time is finite, the greedy policy arrives in the model, though not always in that time."""
     wanted = bins(*range(10, 14))
     to_go = roadmap().time_to(wanted)
     arrived = tried = 0
@@ -143,13 +143,13 @@ def test_following_it_leads_to_what_is_wanted():
         here, psi, t = to_go.poses[number], place * TURN, 0.0
         while t < 3.0 * to_go.seconds[number, place]:
             ends = to_go.poses[np.abs(to_go.poses - here).max(axis=1) > 0.0]
-            foreseen, moves = rolled(here, psi, ends)
+            predicted, moves = rolled(here, psi, ends)
             seconds = moves.durations[:, 0]
-            there = (foreseen.touched[:, 0] & wanted).any(axis=1)
-            cost = seconds + np.where(there, 0.0, to_go.at(ends, foreseen.psi[:, 0]))
-            cost[goodness(foreseen, moves, LIMITS)[:, 0] <= 1.0] = np.inf
+            there = (predicted.touched[:, 0] & wanted).any(axis=1)
+            cost = seconds + np.where(there, 0.0, to_go.at(ends, predicted.psi[:, 0]))
+            cost[goodness(predicted, moves, LIMITS)[:, 0] <= 1.0] = np.inf
             best = cost.argmin()
-            here, psi, t = ends[best], foreseen.psi[best, 0], t + seconds[best]
+            here, psi, t = ends[best], predicted.psi[best, 0], t + seconds[best]
             if there[best]:
                 arrived += 1
                 break
@@ -157,23 +157,23 @@ def test_following_it_leads_to_what_is_wanted():
     assert arrived >= 0.6 * tried
 
 
-def test_between_two_orientations_it_is_told_where_a_move_leads():
-    """Against the same motion rolled forward from there, 5° from the orientations that were."""
-    made, off, told = roadmap(), [], 0
+def test_moves_are_interpolated_between_two_orientations():
+    """Against the same motion simulated from there, 5° from the tabulated orientations."""
+    made, off, total = roadmap(), [], 0
     numbers = range(0, len(made.poses), 5)
     for number in numbers:
         moves = np.flatnonzero(made._from == number)
         for place in range(BETWEEN // 2, made._psi.shape[1], 7 * BETWEEN):
-            foreseen, _ = rolled(made.poses[number], place * TURN, made.poses[made._to[moves]])
+            predicted, _ = rolled(made.poses[number], place * TURN, made.poses[made._to[moves]])
             there = np.isfinite(made._seconds[moves, place])
-            off += np.abs(made._psi[moves, place] - foreseen.psi[:, 0])[there].tolist()
-            told += len(there)
-    assert len(off) > 0.5 * told
+            off += np.abs(made._psi[moves, place] - predicted.psi[:, 0])[there].tolist()
+            total += len(there)
+    assert len(off) > 0.5 * total
     assert np.median(off) < math.radians(0.5)
     assert np.quantile(off, 0.9) < math.radians(2.0)
 
 
-def test_what_lies_between_goes_on_all_around():
+def test_interpolation_is_periodic():
     angles = np.array([[0.3, 1.9, 3.4, 5.0]])
     rises = np.diff(_refined(angles, math.tau, largest_gap=2.0)[0], append=0.3 + math.tau)
     assert rises.reshape(4, BETWEEN) == pytest.approx(
@@ -181,7 +181,7 @@ def test_what_lies_between_goes_on_all_around():
     )
 
 
-def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
+def test_a_palm_touches_all_bins_from_the_lowest_to_the_highest_normal():
     degrees = np.radians([[-12.0, 3.0], [-2.0, -1.0], [361.0, 364.0], [17.0, 40.0]])
     lowest, highest = degrees.T
     assert _touches(lowest, highest, bins(0)).tolist() == [True, False, True, False]
@@ -190,7 +190,7 @@ def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
     assert not _touches(lowest, highest, bins()).any()
 
 
-def test_next_to_a_barrier_nothing_is_promised():
+def test_next_to_a_barrier_there_is_no_interpolation():
     angles = np.array([[0.0, 0.2, 2.0, math.nan]])
     between = _refined(angles, math.tau, largest_gap=1.0).reshape(4, BETWEEN)
     assert between[:, 0] == pytest.approx(angles[0], nan_ok=True)
@@ -198,7 +198,7 @@ def test_next_to_a_barrier_nothing_is_promised():
     assert np.isnan(between[1:, 1:]).all()
 
 
-def test_what_was_learnt_holds_until_it_is_forgotten():
+def test_learnt_times_hold_until_they_are_forgotten():
     made = Roadmap(PREDICTOR, LIMITS, state())
     made.renew(state(), len(made.poses))
     wanted = bins(*range(BINS))
@@ -211,13 +211,13 @@ def test_what_was_learnt_holds_until_it_is_forgotten():
     assert (made.time_to(wanted).seconds == before).all()
 
 
-def test_an_object_that_rests_almost_anywhere_is_turned_all_the_way():
-    """Of this one, moves chosen without the roadmap leave a quarter untouched until the time is over."""
+def test_an_object_that_rests_almost_anywhere_is_turned_fully():
+    """For this object, moves chosen without the roadmap leave a quarter untouched at the time limit."""
     assert exploring(102) < 40.0
 
 
 def exploring(seed):
-    """How long until all is touched, when the object does what the model foresees (s)."""
+    """Time until all is touched, when the object moves as the model predicts (s)."""
     truth = World(default_config(), seed, kind="rig", t=0.0).object_truth()
     now = np.zeros(shape_map.N)
     now[shape_map.Z.SHAPE :] = shape.coefficients_of(np.array(truth["h_m"]))
@@ -238,7 +238,7 @@ def exploring(seed):
             continue
         move = decision.move
         moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
-        foreseen = PREDICTOR.of(now, moves)
-        now[shape_map.Z.PSI], now[shape_map.Z.OMEGA0] = foreseen.psi[0, 0], foreseen.omega0[0, 0]
-        touched = touched | foreseen.touched[0, 0]
+        predicted = PREDICTOR.of(now, moves)
+        now[shape_map.Z.PSI], now[shape_map.Z.OMEGA0] = predicted.psi[0, 0], predicted.omega0[0, 0]
+        touched = touched | predicted.touched[0, 0]
         t += move.duration

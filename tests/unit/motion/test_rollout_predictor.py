@@ -1,4 +1,4 @@
-"""What is foreseen of a motion against the emulated rig's plant on the same body, surface and moves."""
+"""Predicted motions against the emulated rig's plant with the same body, surface and moves."""
 
 import math
 from functools import cache
@@ -46,8 +46,8 @@ def predictor(hinge, relation="independent"):
     return RolloutPredictor(rig_inputs(RigDescription(hinge=hinge, vibration=Vibration(relation, frequency=FAST_HZ))))
 
 
-def thing(kind, seed):
-    """A body and a surface, a place for the body to lie, and the shape map's state of both."""
+def simulated_body(kind, seed):
+    """A body and a surface, a start orientation for the body, and the shape map's state of both."""
     random = np.random.default_rng([seed, 3])
     body, surface = random_body(kind, random), random_surface(kind, random)
     psi = stable_poses(body, PalmMotion.at_rest(START))[0]
@@ -61,14 +61,14 @@ def thing(kind, seed):
 
 
 def emulated(body, surface, hinge, off=PERFECT, relation="independent"):
-    """The rig's plant on palms that vibrate as the model has it: so fast that nothing follows, on rigid mounts."""
+    """The rig's plant on palms that vibrate as in the model: too fast for the object to follow, on rigid mounts."""
     known = Vibration(relation, frequency=FAST_HZ, speed=2.0 / math.pi * surface.dither, speed_sd=0.0)
     shaking = drawn_shaking(known, np.random.default_rng(5), speed=0.0, pure=True)
     return plant_on(body, Hinge(hinge), surface, shaking=shaking, imperfections=off)
 
 
 def driven(body, surface, psi, hinge, off=PERFECT, relation="independent"):
-    """What the plant does on the route: ψ and ω0 after each move, bins touched, least force (m/s²), contacts (m)."""
+    """The plant's result on the route: ψ and ω0 after each move, bins touched, least force (m/s²), contacts (m)."""
     plant = emulated(body, surface, hinge, off, relation)
     plant.place(off.true_palms(PalmMotion.at_rest(START)), psi)
     here, ends, bins, force, contacts = START, [], set(), math.inf, []
@@ -96,53 +96,53 @@ def driven(body, surface, psi, hinge, off=PERFECT, relation="independent"):
         *(("friction", 4, "arc", relation) for relation in ("in_phase", "antiphase")),
     ],
 )  # fmt: skip
-def test_the_plant_does_what_is_foreseen(kind, seed, hinge, relation):
-    body, surface, psi, state = thing(kind, seed)
+def test_the_plant_moves_as_predicted(kind, seed, hinge, relation):
+    body, surface, psi, state = simulated_body(kind, seed)
     ends, bins, force, low, high = driven(body, surface, psi, hinge, relation=relation)
-    foreseen = predictor(hinge, relation).of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
-    np.testing.assert_allclose(foreseen.psi[0], ends[:, 0], atol=3e-3)
-    np.testing.assert_allclose(foreseen.omega0[0], ends[:, 1], atol=0.05)
-    assert foreseen.least_force[0, -1] == pytest.approx(force, abs=0.25)
-    assert foreseen.nearest[0, -1] == pytest.approx(low, abs=1e-4)
-    assert foreseen.farthest[0, -1] == pytest.approx(high, abs=1e-4)
-    mine = set(np.flatnonzero(foreseen.touched[0, -1]).tolist())
-    assert len(mine ^ bins) <= 2  # a bin only just touched, or not
+    predicted = predictor(hinge, relation).of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    np.testing.assert_allclose(predicted.psi[0], ends[:, 0], atol=3e-3)
+    np.testing.assert_allclose(predicted.omega0[0], ends[:, 1], atol=0.05)
+    assert predicted.least_force[0, -1] == pytest.approx(force, abs=0.25)
+    assert predicted.nearest[0, -1] == pytest.approx(low, abs=1e-4)
+    assert predicted.farthest[0, -1] == pytest.approx(high, abs=1e-4)
+    mine = set(np.flatnonzero(predicted.touched[0, -1]).tolist())
+    assert len(mine ^ bins) <= 2  # a bin at the edge of the touched range may differ
 
 
-def test_each_move_adds_to_the_ones_before():
-    """The first one is the most violent: its least force stands to the end."""
-    _, _, _, state = thing("friction", 1)
-    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([[0.24, 0.8, 1.2]])))
-    assert (np.diff(foreseen.touched[0].sum(axis=1)) >= 0).all()
-    assert foreseen.touched[0, 2].sum() > foreseen.touched[0, 0].sum()
-    assert (np.diff(foreseen.least_force[0]) <= 0.0).all()
-    assert (np.diff(foreseen.farthest[0]) >= 0.0).all()
+def test_touched_bins_and_extremes_accumulate_over_moves():
+    """The first move is the most violent: its least force remains to the end."""
+    _, _, _, state = simulated_body("friction", 1)
+    predicted = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([[0.24, 0.8, 1.2]])))
+    assert (np.diff(predicted.touched[0].sum(axis=1)) >= 0).all()
+    assert predicted.touched[0, 2].sum() > predicted.touched[0, 0].sum()
+    assert (np.diff(predicted.least_force[0]) <= 0.0).all()
+    assert (np.diff(predicted.farthest[0]) >= 0.0).all()
 
 
-def test_a_move_seen_from_its_middle_ends_where_it_was_to_end():
-    """What is left of it, from the state half-way there."""
-    _, _, _, state = thing("friction", 4)
-    seer = predictor("arc")
-    whole = seer.of(state, Moves(START, ROUTE[None, :1], np.array([[0.8]])))
+def test_a_prediction_from_the_middle_of_a_move_has_the_same_end():
+    """The rest of the move, from the state half-way through."""
+    _, _, _, state = simulated_body("friction", 4)
+    arc_predictor = predictor("arc")
+    whole = arc_predictor.of(state, Moves(START, ROUTE[None, :1], np.array([[0.8]])))
     begun = 5 * CALL_S
     short = Move(START, tuple(ROUTE[0].tolist()), 0.8)
-    plant_like = seer.of(state, Moves(START, np.tile(ROUTE[:1], (1, 1, 1)), np.array([[0.8]])))
+    plant_like = arc_predictor.of(state, Moves(START, np.tile(ROUTE[:1], (1, 1, 1)), np.array([[0.8]])))
     np.testing.assert_array_equal(plant_like.psi, whole.psi)
-    body, surface, psi, _ = thing("friction", 4)
+    body, surface, psi, _ = simulated_body("friction", 4)
     plant = emulated(body, surface, "arc")
     plant.place(PalmMotion.at_rest(START), psi)
     for step in range(round(begun / FINE_S)):
         plant.advance(short.at((step + 0.5) * FINE_S), short.at((step + 1) * FINE_S), FINE_S)
     middle = state.copy()
     middle[:2] = plant.state.psi, plant.mean_omega0
-    rest = seer.of(middle, Moves(START, ROUTE[None, :1], np.array([[0.8]])), begun)
+    rest = arc_predictor.of(middle, Moves(START, ROUTE[None, :1], np.array([[0.8]])), begun)
     assert rest.psi[0, 0] == pytest.approx(whole.psi[0, 0], abs=2e-3)
     assert rest.touched[0, 0].sum() < whole.touched[0, 0].sum() + 1
 
 
-def test_many_at_once_are_foreseen_as_each_alone():
+def test_predictions_in_a_batch_equal_single_ones():
     """More than one batch, with durations of all lengths."""
-    states = np.array([thing("friction", seed)[3] for seed in (1, 4)])
+    states = np.array([simulated_body("friction", seed)[3] for seed in (1, 4)])
     random = np.random.default_rng(2)
     count = 45
     which = random.integers(2, size=count)
@@ -155,45 +155,45 @@ def test_many_at_once_are_foreseen_as_each_alone():
             np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0], err_msg=name)
 
 
-def test_what_diverges_is_not_safe_and_warns_of_nothing():
-    _, _, _, state = thing("friction", 1)
+def test_a_diverging_prediction_is_unsafe_and_raises_no_warning():
+    _, _, _, state = simulated_body("friction", 1)
     state[shape_map.Z.OMEGA0] = 1e25
-    foreseen = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
-    assert not foreseen.least_force[0, -1] > 0.0
+    predicted = predictor("arc").of(state, Moves(START, ROUTE[None], np.array([DURATIONS])))
+    assert not predicted.least_force[0, -1] > 0.0
 
 
-def test_an_object_thrown_off_is_foreseen_to_lose_a_contact():
-    """Down faster than it can fall."""
-    _, _, _, state = thing("friction", 1)
+def test_a_thrown_object_is_predicted_to_lose_a_contact():
+    """The palm moves down faster than the object can fall."""
+    _, _, _, state = simulated_body("friction", 1)
     hasty = Moves(START, np.radians([[[45.0, 150.0]]]), np.array([[0.12]]))
     assert predictor("arc").of(state, hasty).least_force[0, 0] < 0.0
 
 
-def test_on_a_cradle_the_tangent_at_the_contact_is_limited_as_a_flat_palm_is():
-    """θ and ψ tell it; the contact's place and the curvature must tell the same."""
+def test_on_a_cradle_the_tangent_at_the_contact_is_limited_like_a_flat_palm():
+    """The tangent from θ and ψ equals that from the contact's place and the curvature."""
     kappa = (13.3, 13.3)
     rig = RigDescription(pads=tuple(PadSensor(curvature=each) for each in kappa))
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=kappa)
-    state = thing("nominal", 4)[3]
+    state = simulated_body("nominal", 4)[3]
     here = np.radians((40.0, 115.0))
     ends = np.radians([[(first, 110.0)] for first in (60.0, 68.0, 78.0, 84.0)])
     moves = Moves(here, ends, np.full((4, 1), 1.2))
-    foreseen = RolloutPredictor(rig_inputs(rig)).of(state, moves)
-    last = foreseen.path[:, -1]
-    told = tangents(foreseen.path)[1][:, -1]
-    assert told == pytest.approx(ends.sum(axis=-1)[:, 0] - kappa[1] * last[:, 5], abs=2e-3)
-    steepest = tangents(foreseen.path)[1].max(axis=1)
-    assert (goodness(foreseen, moves, limits)[steepest > PHI12_MAX] < 0.0).all()
+    predicted = RolloutPredictor(rig_inputs(rig)).of(state, moves)
+    last = predicted.path[:, -1]
+    tangent = tangents(predicted.path)[1][:, -1]
+    assert tangent == pytest.approx(ends.sum(axis=-1)[:, 0] - kappa[1] * last[:, 5], abs=2e-3)
+    steepest = tangents(predicted.path)[1].max(axis=1)
+    assert (goodness(predicted, moves, limits)[steepest > PHI12_MAX] < 0.0).all()
     assert steepest.min() < PHI12_MAX - math.radians(1.0) < PHI12_MAX < steepest.max()
-    assert goodness(foreseen, moves, limits)[0] > 1.0
+    assert goodness(predicted, moves, limits)[0] > 1.0
 
 
-def test_on_a_cradle_an_object_is_wedged_where_friction_holds_it_and_not_before_it_is():
-    """A circle that slides out between tangents that are 2α apart is pressed by g/(2(sin α − μ cos α))."""
+def test_wedging_on_a_cradle_is_predicted_with_friction_only():
+    """A circle between tangents 2α apart is pressed by g/(2(sin α − μ cos α)) when it slides out."""
     kappa = (13.3, 13.3)
     rig = RigDescription(pads=tuple(PadSensor(curvature=each) for each in kappa))
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, curvatures=kappa)
-    state = thing("nominal", 4)[3].copy()
+    state = simulated_body("nominal", 4)[3].copy()
     state[shape_map.Z.SHAPE :], state[shape_map.Z.DAMPING] = 0.0, 0.0
     state[shape_map.Z.SHAPE] = radius = 0.02
     here, opened = (joints_of(radius, (math.radians(90.0 - half), math.radians(2 * half)), kappa) for half in (30, 35))
@@ -203,13 +203,13 @@ def test_on_a_cradle_an_object_is_wedged_where_friction_holds_it_and_not_before_
         closed = joints_of(radius, (math.radians(79.0), math.radians(22.0)), kappa)
         moves = Moves(np.array(here), np.array([[opened, closed]]), np.full((1, 2), 2.0))
         safe.append(goodness(RolloutPredictor(rig_inputs(rig)).of(state, moves), moves, limits)[0])
-    assert (safe[0] > 1.0).all(), "without friction nothing wedges it"
-    assert safe[1][0] > 1.0, "what comes later does not count yet"
-    assert safe[1][1] < 0.0, "α of 11° is less than the friction's angle of 17°: nobody goes on with that"
+    assert (safe[0] > 1.0).all(), "no wedging without friction"
+    assert safe[1][0] > 1.0, "a later state does not count yet"
+    assert safe[1][1] < 0.0, "α of 11° is less than the friction angle of 17°"
 
 
-def test_what_is_known_of_the_rig_is_foreseen_with():
-    body, surface, psi, state = thing("friction", 4)
+def test_predictions_include_the_estimated_rig_constants():
+    body, surface, psi, state = simulated_body("friction", 4)
     tilt, turn, asymmetry = math.radians(1.5), math.radians(-1.0), 0.6
     off = Imperfections(angles=(tilt, turn), friction=asymmetry)
     ends, *_ = driven(body, surface, psi, "arc", off, relation="in_phase")
@@ -222,14 +222,14 @@ def test_what_is_known_of_the_rig_is_foreseen_with():
     np.testing.assert_allclose(mine.of(state, moves).psi[0], ends[:, 0], atol=3e-3)
 
 
-def test_more_moves_than_there_is_room_for_are_refused():
+def test_more_moves_than_the_limit_are_refused():
     moves = Moves(START, np.zeros((1, MOST_MOVES + 1, 2)), np.ones((1, MOST_MOVES + 1)))
     with pytest.raises(ValueError, match="1 to 16 moves, got 17"):
         predictor("arc").of(np.zeros(shape_map.N), moves)
 
 
 def pressed(least, mean):
-    """A prediction of one sequence of two moves of two calls each, its contacts pressed so (m/s²) after each call."""
+    """A prediction of one sequence of two moves of two calls each, with these contact forces (m/s²) after each call."""
     path = np.zeros((1, 4, 10))
     path[0, :, 2:4], path[0, :, 6:8] = np.array(least)[:, None], np.array(mean)[:, None]
     fine = {"least_force": np.full((1, 2), 9.0), "nearest": np.full((1, 2), 0.02), "farthest": np.full((1, 2), 0.03)}
@@ -246,14 +246,16 @@ def test_a_contact_may_hop_once_its_least_force_falls_below_half_the_mean_by_a_m
     assert may_hop(pressed([3.2, 5.0, 5.0, 5.0], [6.0] * 4), TWO_MOVES).tolist() == [[True, True]]
 
 
-def test_what_presses_as_hard_as_a_pad_may_feel_is_unsafe_and_what_stays_three_sigmas_below_is_safe():
+def test_a_force_at_the_limit_is_unsafe_and_three_sigmas_below_is_safe():
     pads = (PadSensor(), PadSensor())
     limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, pad_forces=(5.0, 5.0))
     most = most_forces(limits, pads, 0.2, 0.0)
     sd = math.sqrt(pads[0].force_variance(5.0))
     assert most.limit == pytest.approx([25.0, 25.0])
     assert most.allowed == pytest.approx([(5.0 - 3.0 * sd) / 0.2] * 2)
-    assert most_forces(limits, pads, 0.2, 0.01).allowed[0] < most.allowed[0], "a mass that is not known well"
+    assert most_forces(limits, pads, 0.2, 0.01).allowed[0] < most.allowed[0], (
+        "an uncertain mass lowers the allowed force"
+    )
 
     def how_safe(second):
         mean = [6.0, 6.0, second, 6.0]

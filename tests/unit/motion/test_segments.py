@@ -1,4 +1,4 @@
-"""Each piece of motion: from rest to rest, where it should, with derivatives that belong together."""
+"""Motion segments: from rest to rest, to the right place, with consistent derivatives."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def rest(motion: PalmMotion) -> tuple[float, float, float, float]:
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_begins_and_ends_at_rest(segment: MotionSegment) -> None:
+def test_segments_begin_and_end_at_rest(segment: MotionSegment) -> None:
     assert rest(segment.at(0.0)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
     assert rest(segment.at(segment.duration)) == pytest.approx((0, 0, 0, 0), abs=1e-9)
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_rates_and_accelerations_are_the_slopes(segment: MotionSegment) -> None:
+def test_rates_and_accelerations_are_the_derivatives(segment: MotionSegment) -> None:
     h = 1e-5
     for i in range(1, 200):
         t = segment.duration * i / 200
@@ -43,7 +43,7 @@ def test_rates_and_accelerations_are_the_slopes(segment: MotionSegment) -> None:
 
 
 @pytest.mark.parametrize("segment", SEGMENTS, ids=lambda s: type(s).__name__)
-def test_samples_see_the_extremes(segment: MotionSegment) -> None:
+def test_samples_include_the_extremes(segment: MotionSegment) -> None:
     fine = [segment.at(segment.duration * i / 20000) for i in range(20001)]
     seen = [segment.at(t) for t in segment.sample_times()]
     for name, joint in itertools.product(("angles", "rates", "accelerations"), (0, 1)):
@@ -61,7 +61,7 @@ def test_blend_is_the_minimum_jerk_quintic() -> None:
     assert blend(2.0) == (1.0, 0.0, 0.0)
 
 
-def test_constant_rate_is_constant_between_its_ramps_and_covers_its_way() -> None:
+def test_a_rate_segment_is_constant_between_its_ramps_and_covers_its_distance() -> None:
     segment = ConstantRate((0.7, 1.5), (0.5, -0.2), 0.1, 1.1)
     for t in (0.1, 0.5, 1.0):
         motion = segment.at(t)
@@ -70,14 +70,14 @@ def test_constant_rate_is_constant_between_its_ramps_and_covers_its_way() -> Non
     assert end.angles == pytest.approx((0.7 + 0.5, 1.5 - 0.2))
 
 
-def test_sine_reaches_its_amplitude_and_dies_away_at_its_centre() -> None:
+def test_a_sine_reaches_its_amplitude_and_decays_to_its_centre() -> None:
     segment = Sine((0.7, 1.5), (0.3, -0.1), (2.5, 2.5), 1.0, 6.0)
-    peak = segment.at(2.5 * math.pi / 2.5)  # the second crest, sin = 1, well within the swing
+    peak = segment.at(2.5 * math.pi / 2.5)  # the second crest, sin = 1, at full amplitude
     assert peak.angles == pytest.approx((1.0, 1.4))
     assert segment.at(6.0).angles == pytest.approx((0.7, 1.5))
 
 
-def test_endless_sine_never_dies_away() -> None:
+def test_an_endless_sine_does_not_decay() -> None:
     segment = Sine((0.0, 0.0), (0.1, 0.1), (1.0, 1.0), 0.5, math.inf)
     assert segment.at(math.pi * 1000.5).angles[0] == pytest.approx(0.1)
     assert len(list(segment.sample_times())) < 1000

@@ -1,4 +1,4 @@
-"""Stops: as hard as the arm allows, or as configured, and along the path."""
+"""Stops along the path, with the arm's or the configured deceleration."""
 
 import math
 from dataclasses import replace
@@ -33,7 +33,7 @@ STEP_S = 0.002
 
 
 def stopped(limits, after_s, *, hard):
-    """How long the path takes to stand (s), and every motion of it meanwhile."""
+    """Time until the path stands still (s), and all its motions until then."""
     trajectory = compile_plan(SWING, limits)
     executor = TrajectoryExecutor(limits)
     executor.stand((math.radians(45.0), math.radians(90.0)))
@@ -51,7 +51,7 @@ def stopped(limits, after_s, *, hard):
 
 
 @pytest.mark.parametrize("after_s", [1.3, 1.7, 2.2, 3.05])
-def test_a_stop_is_sooner_than_a_pause_and_keeps_to_what_the_arm_clamps(after_s):
+def test_a_stop_is_quicker_than_a_pause_and_within_the_arms_acceleration(after_s):
     hard_s, motions = stopped(LIMITS, after_s, hard=True)
     gentle_s, _ = stopped(LIMITS, after_s, hard=False)
     assert hard_s < 0.75 * gentle_s + STEP_S
@@ -66,7 +66,7 @@ def test_a_configured_deceleration_is_kept():
     assert max(abs(each) for motion in motions[:-1] for each in motion.accelerations) <= most * 1.02
 
 
-def test_without_a_word_from_the_arm_stops_keep_to_the_plans_limit():
+def test_without_limits_from_the_arm_stops_keep_the_plans_limit():
     _, motions = stopped(replace(LIMITS, workspace=None), 2.2, hard=True)
     assert max(abs(each) for motion in motions[:-1] for each in motion.accelerations) <= LIMITS.acceleration * 1.02
 
@@ -76,7 +76,7 @@ rate = st.floats(-2.0, 2.0)
 
 
 @given(angle, st.tuples(rate, rate), st.tuples(rate, rate), st.floats(0.0, 1.0))
-def test_the_hardest_slowing_is_the_hardest(angles, rates, accelerations, speed):
+def test_the_hardest_deceleration_uses_the_arms_full_acceleration(angles, rates, accelerations, speed):
     planned = PalmMotion(angles, rates, accelerations)
     slowing = WORKSPACE.hardest_slowing(planned, speed)
     if not math.isfinite(slowing) or slowing == 0.0 or slowing > 1e4:
@@ -94,8 +94,8 @@ def test_the_hardest_slowing_is_the_hardest(angles, rates, accelerations, speed)
 @pytest.mark.parametrize("omega", [-1.0, 1.0])
 @pytest.mark.parametrize("alpha", [-8.0, -0.5, 0.5, 8.0])
 @pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_what_is_left_of_the_plans_acceleration_counts_by_its_sign(omega, alpha, speed):
-    """Whether the plan speeds up or slows down, either way round: the palm slows by just what it may."""
+def test_the_plans_own_acceleration_counts_with_its_sign(omega, alpha, speed):
+    """Whether the plan speeds up or slows down, in both directions, the palm decelerates by exactly the limit."""
     most = math.radians(900.0)
     limits = replace(LIMITS, workspace=None, stop_deceleration=most)
     planned = PalmMotion((0.8, 1.6), (omega, 0.0), (alpha, 0.0))
@@ -104,13 +104,13 @@ def test_what_is_left_of_the_plans_acceleration_counts_by_its_sign(omega, alpha,
     assert (alpha * speed**2 - omega * slowing) * omega < 0.0
 
 
-def test_palms_that_stand_bring_the_arms_tip_no_limit():
+def test_palms_at_rest_have_no_deceleration_limit():
     assert WORKSPACE.hardest_slowing(PalmMotion.at_rest((0.8, 1.6)), 1.0) == math.inf
 
 
 @given(angle)
-def test_the_arms_tip_follows_both_angles_by_its_gain_and_no_more(angles):
-    """Where the palms are all but stretched out it does follow by as much: the gain is no guess."""
+def test_the_tips_speed_is_bounded_by_its_gain(angles):
+    """The bound is reached when the palms are nearly stretched out."""
     (gain,) = {bound.gain for bound in WORKSPACE.bounds()}
     both = PalmMotion(angles, (1.0, 1.0), (0.0, 0.0))
     assert WORKSPACE.geometry.tip_speed_acceleration(both)[0] <= gain

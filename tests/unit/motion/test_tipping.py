@@ -1,4 +1,4 @@
-"""Rounds that tip things with flat sides are as in the plan, within the limits, and by poses show such things."""
+"""Rounds that tip objects with flat sides: as in the plan, within the limits, and with enough coverage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HOME: Angles = (math.radians(45.0), math.radians(90.0))
 POSES: list[Angles] = [tuple(map(math.radians, pose)) for pose in POSES_DEG]
 
 
-def test_a_plan_does_the_same() -> None:
+def test_the_shipped_plan_has_the_same_poses_and_durations() -> None:
     spec = load_plan(shipped("plans/tip.yaml"))
     moves = [segment for segment in spec.segments if isinstance(segment, MoveSpec)]
     assert [(move.move.phi1_deg, move.move.phi2_deg) for move in moves] == list(POSES_DEG)
@@ -33,7 +33,7 @@ def test_a_plan_does_the_same() -> None:
 
 
 @pytest.mark.parametrize("limits", [LIMITS, SLOW])
-def test_it_goes_from_pose_to_pose_within_the_limits_and_begins_anew(limits: MotionLimits) -> None:
+def test_it_visits_all_poses_within_the_limits_and_repeats(limits: MotionLimits) -> None:
     here, aim, ends = HOME, None, []
     for _ in range(len(POSES) + 1):
         move = tip(here, aim, limits)
@@ -47,7 +47,7 @@ def test_it_goes_from_pose_to_pose_within_the_limits_and_begins_anew(limits: Mot
     assert ends == [*POSES, POSES[0]]
 
 
-def test_it_goes_on_to_where_it_was_stopped_on_its_way() -> None:
+def test_after_a_stop_it_continues_to_the_same_pose() -> None:
     move = tip(POSES[4], POSES[4], LIMITS)
     assert move is not None
     stopped = tip(move.at(0.5 * move.duration).angles, move.end, LIMITS)
@@ -56,7 +56,7 @@ def test_it_goes_on_to_where_it_was_stopped_on_its_way() -> None:
 
 
 def shown(outline: ArcSupport, moves: Sequence[Move]) -> float:
-    """The share of its normals that touch a palm where its centre of mass is lowest all the time, without friction."""
+    """The share of normals that touch a palm if the centre of mass is always at its lowest, without friction."""
 
     def normals(palms: Angles, psi: float) -> tuple[float, float]:
         return palms[0] - psi - math.pi / 2, sum(palms) - psi + math.pi / 2
@@ -79,7 +79,7 @@ def shown(outline: ArcSupport, moves: Sequence[Move]) -> float:
 @pytest.mark.parametrize(
     ("corners", "reach_m"), [(3, 20e-3), (4, 11e-3), (4, 13e-3), (5, 17e-3), (6, 15e-3), (7, 18e-3)]
 )
-def test_by_poses_of_least_height_two_rounds_show_what_has_sides(corners: int, reach_m: float) -> None:
+def test_two_rounds_touch_most_normals_of_objects_with_sides(corners: int, reach_m: float) -> None:
     ring = [reach_m * np.exp(2j * math.pi * k / corners) for k in range(corners)]
     outline = rounded_polygon([(z.real, z.imag) for z in ring], 1e-3)
     moves, here = list[Move](), POSES[-1]
@@ -91,7 +91,7 @@ def test_by_poses_of_least_height_two_rounds_show_what_has_sides(corners: int, r
     assert shown(outline, moves) >= 0.8
 
 
-def test_what_the_limits_do_not_allow_is_left_out() -> None:
+def test_poses_outside_the_limits_are_skipped() -> None:
     wide = MotionLimits.from_config(LimitsConfig(phi2_deg=(100.0, 155.0)), pad_length=0.0555)
     here: Angles = (math.radians(30.0), math.radians(110.0))
     aim: Angles | None = None

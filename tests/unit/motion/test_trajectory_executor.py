@@ -1,4 +1,4 @@
-"""The trajectory executor: holding and resuming on the path, gentle starts, no jump after a late call."""
+"""The trajectory executor: hold and resume on the path, gentle starts, no jump after a late call."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def plan(*segments: dict[str, Any], **rest: Any) -> Trajectory:
 
 
 class Run:
-    """An executor under a regular clock, remembering what it commanded."""
+    """An executor with a regular clock that records its commands."""
 
     def __init__(self, trajectory: Trajectory | None = None) -> None:
         self.executor = TrajectoryExecutor(LIMITS)
@@ -49,14 +49,14 @@ def at_rest(motion: PalmMotion) -> bool:
     return motion.rates[0] == motion.rates[1] == motion.accelerations[0] == motion.accelerations[1] == 0.0
 
 
-def test_stands_still_until_asked() -> None:
+def test_it_stands_still_until_started() -> None:
     run = Run()
     assert run.go(1.0) == PalmMotion.at_rest(HOME)
     assert not run.executor.moving
     assert run.executor.place is None
 
 
-def test_runs_a_plan_in_real_time_and_is_done_at_its_end() -> None:
+def test_it_runs_a_plan_in_real_time_and_is_done_at_its_end() -> None:
     trajectory = plan(SWING)
     run = Run(trajectory)
     run.go(3.2)
@@ -70,7 +70,7 @@ def test_runs_a_plan_in_real_time_and_is_done_at_its_end() -> None:
     assert run.executor.place.progress == 1.0
 
 
-def test_goes_to_the_plans_start_first_taking_the_moves_time() -> None:
+def test_it_approaches_the_plans_start_in_the_first_moves_duration() -> None:
     trajectory = plan({"move": {"phi1_deg": 50, "phi2_deg": 85}, "duration_s": 3.0}, {"hold_s": 1.0})
     run = Run(trajectory)
     middle = run.go(1.504)
@@ -82,7 +82,7 @@ def test_goes_to_the_plans_start_first_taking_the_moves_time() -> None:
     assert math.degrees(run.motions[-1].angles[0]) == pytest.approx(50)
 
 
-def test_hold_stops_quickly_on_the_path_and_resume_goes_on_there() -> None:
+def test_hold_stops_on_the_path_and_resume_continues_there() -> None:
     trajectory = plan(SWING)
     free = [trajectory.at(i * 0.001) for i in range(8000)]
     run = Run(trajectory)
@@ -103,7 +103,7 @@ def test_hold_stops_quickly_on_the_path_and_resume_goes_on_there() -> None:
         assert nearest < 1e-3
 
 
-def test_reported_rates_are_those_of_the_commands_while_slowing_down() -> None:
+def test_reported_rates_match_the_commands_while_slowing_down() -> None:
     run = Run(plan(SWING))
     run.go(2.0)
     run.executor.hold()
@@ -115,7 +115,7 @@ def test_reported_rates_are_those_of_the_commands_while_slowing_down() -> None:
         assert (here.angles[0] - before.angles[0]) / DT == pytest.approx(mean_rate, abs=math.radians(3))
 
 
-def test_stop_puts_the_plan_away_once_it_stands() -> None:
+def test_stop_discards_the_plan_once_the_palms_stand() -> None:
     run = Run(plan(SWING))
     run.go(2.0)
     run.executor.stop()
@@ -127,7 +127,7 @@ def test_stop_puts_the_plan_away_once_it_stands() -> None:
         run.executor.resume()
 
 
-def test_stop_while_held_and_a_new_start_from_there() -> None:
+def test_a_plan_can_start_after_a_stop_while_held() -> None:
     run = Run(plan(SWING))
     run.go(2.0)
     run.executor.hold()
@@ -142,7 +142,7 @@ def test_stop_while_held_and_a_new_start_from_there() -> None:
     assert run.executor.moving
 
 
-def test_refuses_to_start_while_moving_without_a_pose_or_from_outside() -> None:
+def test_a_start_is_refused_while_moving_without_a_pose_or_from_outside() -> None:
     run = Run(plan(SWING))
     run.go(1.0)
     with pytest.raises(MotionError, match="moving"):
@@ -180,10 +180,10 @@ def test_hold_before_the_first_advance_keeps_the_palms_where_they_are() -> None:
     assert run.executor.held
 
 
-def test_an_exploration_is_in_hand_from_its_beginning_until_it_is_concluded() -> None:
+def test_an_exploration_is_available_from_its_start_to_its_conclusion() -> None:
     run = Run(plan({"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.4}, {"explore": {}}))
     run.go(0.3)
-    assert run.executor.exploration is None  # this is the way to its beginning
+    assert run.executor.exploration is None  # still on the approach
     run.go(0.5)
     found = run.executor.exploration
     assert found is not None

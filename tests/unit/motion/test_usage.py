@@ -1,4 +1,4 @@
-"""What a plan makes of its limits."""
+"""How much of its limits a plan uses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def plan(*segments: dict[str, object], repeat: int | str = 1):
     )
 
 
-def test_the_limit_most_used_comes_first_and_says_by_how_much() -> None:
+def test_limits_are_sorted_by_usage_and_printed_with_it() -> None:
     motion = sampled(plan({"move": {"phi1_deg": 25}, "duration_s": 0.5}))
     used = usage(motion, LIMITS)
     assert used == sorted(used, key=lambda each: -each.share)
@@ -39,12 +39,12 @@ def test_the_limit_most_used_comes_first_and_says_by_how_much() -> None:
     ("segment", "repeat", "seconds", "whole"),
     [
         ({"hold_s": 1.0}, 1, 1.0, True),
-        ({"hold_s": 1.0}, "forever", 4.0, False),  # two rounds, of which the first needs no way to its start
+        ({"hold_s": 1.0}, "forever", 4.0, False),  # two rounds; the first needs no way to its start
         ({"hold_s": 600.0}, 1, 120.0, False),
         ({"explore": {}}, 1, 0.0, False),
     ],
 )
-def test_what_goes_on_is_looked_at_for_a_while(segment, repeat, seconds: float, whole: bool) -> None:
+def test_endless_plans_are_sampled_for_a_limited_time(segment, repeat, seconds: float, whole: bool) -> None:
     motion = sampled(plan(segment, repeat=repeat))
     assert motion.t[-1] == pytest.approx(seconds)
     assert motion.whole is whole

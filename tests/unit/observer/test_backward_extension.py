@@ -1,4 +1,4 @@
-"""A search that begins later in a record ends at the same minimum, or says nothing."""
+"""A search that begins later in a record ends at the same minimum or gives no result."""
 
 from dataclasses import replace
 
@@ -19,18 +19,18 @@ LATER = Attempt(2.0, 3, later_s=0.7)
 
 @pytest.fixture(scope="module")
 def search():
-    """Of readings that are soon explained."""
+    """A search in readings that are easy to explain."""
     run = simulated("friction", 7, 6.0)
     return Search(longest_segment(run.events), run.rig)
 
 
 @pytest.fixture(scope="module")
 def found(search):
-    """From the beginning on."""
+    """The result of a search from the beginning of the record."""
     return search.blind(Attempt(2.0, 3), seed=0)
 
 
-def test_what_begins_later_comes_to_what_is_found_from_the_beginning(search, found):
+def test_a_search_that_begins_later_finds_the_same_minimum(search, found):
     later = search.blind(LATER, seed=0)
     assert later is not None
     assert len(later.record.t) == len(found.record.t)
@@ -41,7 +41,7 @@ def test_what_begins_later_comes_to_what_is_found_from_the_beginning(search, fou
     assert one.guess.x[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_beginning_that_is_of_something_else_is_not_joined(search, found):
+def test_earlier_readings_of_another_motion_are_not_joined(search, found):
     best, cut, record = found.fits[0], 150, search.record
     covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
     known = knowledge_of_constants(best.guess.p, covariance, search.prior.scale)
@@ -56,25 +56,25 @@ def test_a_search_ends_at_its_limits(search, limit):
     assert search.blind(Attempt(2.0, 3, **limit), seed=0) is None
 
 
-def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkeypatch):
-    """The search from its first reading on comes to nothing; it was found after those for what sticks and for sides."""
+def test_a_hard_beginning_does_not_start_the_search_for_other_kinds_of_object(monkeypatch):
+    """The search from the first reading finds nothing. It was once tried only after sticking objects and flat sides."""
 
     def asked(*_):
-        pytest.fail("another kind of object was looked for")
+        pytest.fail("searched for another kind of object")
 
     monkeypatch.setattr("palmd.observer.reconstruct.dry_reconstruction", asked)
     body, surface = sbc.drawn_from_prior("odd", 64002)
-    log, told = calibrated_run("odd", 64002, 10.0, body, "calibrated", surface)
+    log, truth = calibrated_run("odd", 64002, 10.0, body, "calibrated", surface)
     answer = reconstruct(log.events, log.rig)
     assert answer.converged, answer.reason
     assert answer.t[-1] - answer.t[0] > 9.9
-    assert sbc.row_of(sbc.SbcTask("odd", 64002, 10.0), told, answer).worst_z < 3.0
+    assert sbc.row_of(sbc.SbcTask("odd", 64002, 10.0), truth, answer).worst_z < 3.0
 
 
-def test_a_record_too_short_to_be_sought_from_later_on_has_a_second_opinion_all_the_same():
+def test_a_record_too_short_for_a_later_start_gets_a_second_search():
     body, surface = sbc.drawn_from_prior("nominal", 67007)
     log, _ = calibrated_run("nominal", 67007, 10.0, body, "calibrated", surface)
     begin = log.events[0].t_sample
     answer = reconstruct([event for event in log.events if event.t_sample < begin + 1.6], log.rig)
     assert answer.converged
-    assert not answer.contradicted.any()  # the first search comes to an outline a millimetre off, and a rig to fit it
+    assert not answer.contradicted.any()  # the first search finds an outline off by 1 mm, and a rig that fits it

@@ -1,4 +1,4 @@
-"""The observer on simulated runs: it finds the outline from a blind start, and survives what a rig does to it."""
+"""The bank observer on simulated runs: blind start, lifts, gaps, outliers and objects that return."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_it_finds_the_radii_from_a_blind_start(name: str, seed: int) -> None:
     assert late[-1].rho == pytest.approx(truth["rho_m"], rel=0.10)
 
 
-def test_friction_and_a_travelling_hinge_are_no_obstacle() -> None:
+def test_it_converges_with_friction_and_a_moving_hinge() -> None:
     rig, events, truth = _run("rig", 101, 10.0)
     estimates = _replay(observer.make("shape", rig), events)
     late = [e for e in estimates if e.t > 8.0]
@@ -80,7 +80,7 @@ def test_friction_and_a_travelling_hinge_are_no_obstacle() -> None:
     assert late[-1].mu == pytest.approx(truth["mu"], abs=0.08)
 
 
-def test_the_outline_is_right_where_it_was_touched(nominal: tuple) -> None:
+def test_the_touched_outline_is_accurate(nominal: tuple) -> None:
     rig, events, truth = nominal
     watcher = observer.make("shape", rig)
     estimates = _replay(watcher, events)
@@ -96,11 +96,11 @@ def test_the_outline_is_right_where_it_was_touched(nominal: tuple) -> None:
         return float(np.sqrt(np.mean((shape.h - turned)[shape.touched] ** 2)))
 
     assert min(error(turn) for turn in np.linspace(-0.5, 0.5, 201)) < 5e-5
-    felt, unfelt = shape.h_sd[shape.touched].max(), shape.h_sd[~shape.touched].max()
-    assert felt < 1e-4 < unfelt
+    touched_sd, untouched_sd = shape.h_sd[shape.touched].max(), shape.h_sd[~shape.touched].max()
+    assert touched_sd < 1e-4 < untouched_sd
 
 
-def test_before_two_touches_it_says_nothing_and_never_lies(nominal: tuple) -> None:
+def test_with_one_contact_there_is_no_valid_estimate(nominal: tuple) -> None:
     rig, events, _ = nominal
     one_pad = [e for e in events if not (isinstance(e, PadSample) and e.pad == 2)]
     watcher = observer.make("shape", rig)
@@ -113,7 +113,7 @@ def test_before_two_touches_it_says_nothing_and_never_lies(nominal: tuple) -> No
     assert watcher.shape(1.0) is None
 
 
-def test_valid_always_means_finite(nominal: tuple) -> None:
+def test_valid_estimates_are_finite(nominal: tuple) -> None:
     rig, events, _ = nominal
     for estimate in _replay(observer.make("extended", rig), events):
         if estimate.valid:
@@ -122,9 +122,9 @@ def test_valid_always_means_finite(nominal: tuple) -> None:
 
 
 def test_a_late_event_is_fused_at_its_own_time(nominal: tuple) -> None:
-    """Swap neighbours of different sensors: the answer must be that of the right order, to the last bit.
+    """Swapping neighbours of different sensors gives results identical to those of the right order.
 
-    Of filters that fuse in NumPy; `test_compiled_fusion` tests those in C. What is far too late is dropped.
+    For filters in NumPy; `test_compiled_fusion` tests those in C. Events that are far too late are dropped.
     """
     rig, events, _ = nominal
     head = events[:600]
@@ -147,8 +147,8 @@ def test_a_late_event_is_fused_at_its_own_time(nominal: tuple) -> None:
     assert repr(late.estimate(t)) == repr(right.estimate(t))
 
 
-def test_lateness_of_any_kind_leaves_every_covariance_positive(nominal: tuple) -> None:
-    """Readings up to 80 ms late at random, across starts and prunings: time never runs backwards in a filter."""
+def test_late_readings_leave_every_covariance_positive(nominal: tuple) -> None:
+    """Readings up to 80 ms late at random, also across starts and prunings: time never runs backwards in a filter."""
     rig, events, truth = nominal
     random = np.random.default_rng(11)
     arrivals = sorted(events, key=lambda e: e.t_sample + random.uniform(0, 0.08) * (random.random() < 0.3))
@@ -178,20 +178,20 @@ def test_non_finite_events_change_nothing(nominal: tuple, bad: float) -> None:
     assert dirty.estimate(t) == clean.estimate(t)
 
 
-def test_outliers_do_not_throw_it(nominal: tuple) -> None:
+def test_outliers_do_not_invalidate_the_estimate(nominal: tuple) -> None:
     rig, events, truth = nominal
     random = np.random.default_rng(3)
-    spoilt = [
+    corrupted = [
         replace(e, s=e.s + random.choice([-5e-3, 5e-3])) if isinstance(e, PadSample) and random.random() < 0.02 else e
         for e in events
     ]
-    late = [e for e in _replay(observer.make("shape", rig), spoilt) if e.t > 4.0]
+    late = [e for e in _replay(observer.make("shape", rig), corrupted) if e.t > 4.0]
     assert np.mean([e.valid for e in late]) > 0.9
     assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 1.5e-4
 
 
 def _put_back(watcher: BankObserver, first: list[Event], second: list[Event]) -> tuple[list[Estimate], float]:
-    """Run `first`, lift the object, and two seconds later go on with `second`; what is told then, and its delay."""
+    """Replay `first`, lift the object, and replay `second` two seconds later; the new estimates and the delay."""
     _replay(watcher, first)
     return _go_on_later(watcher, first[-1].t_sample, second)
 
@@ -210,8 +210,8 @@ def _settled_after(estimates: list[Estimate]) -> float:
     return next(e.t for e in estimates if e.valid) - estimates[0].t
 
 
-def test_the_same_object_put_back_otherwise_is_known_again(nominal: tuple) -> None:
-    """Two stretches of one run: when the second begins the object has turned and the palms have gone on."""
+def test_the_same_object_put_back_in_another_pose_is_recognised(nominal: tuple) -> None:
+    """Two parts of one run: before the second the object has turned and the palms have moved on."""
     rig, events, truth = nominal
     first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 3.5), (3.5, 6.0)))
     psi = np.interp([0.0, 3.5], truth["t"], truth["psi_rad"])
@@ -224,7 +224,7 @@ def test_the_same_object_put_back_otherwise_is_known_again(nominal: tuple) -> No
     assert {e.object_count for e in valid} == {1}
     shifted = [replace(e, t=e.t - delay) for e in valid]
     assert np.sqrt(np.mean(_errors(shifted, truth, "r1_m") ** 2)) < 1.5e-4
-    # ψ goes on in the gauge of the map, which is the turn since the very first reading but for a blind start's error
+    # ψ continues in the gauge of the map, the turn since the first reading up to the error of a blind start
     assert abs(gauge + psi[0]) < 0.1
     assert np.abs(_errors(shifted, truth, "psi_rad") - gauge).max() < 0.05
     assert valid[0].mass == pytest.approx(truth["mass_kg"], rel=0.02)
@@ -235,7 +235,7 @@ def test_the_same_object_put_back_otherwise_is_known_again(nominal: tuple) -> No
 
 
 @pytest.mark.parametrize("other", [108, 104])
-def test_another_object_counts_up_and_is_found(nominal: tuple, other: int) -> None:
+def test_another_object_increments_the_count_and_is_found(nominal: tuple, other: int) -> None:
     rig, events, _ = nominal
     _, second, truth = _run("nominal", other, 6.0)
     watcher = observer.make("shape", rig)
@@ -248,24 +248,24 @@ def test_another_object_counts_up_and_is_found(nominal: tuple, other: int) -> No
     assert late[-1].mass == pytest.approx(truth["mass_kg"], rel=0.03)
 
 
-def test_the_count_never_changes_to_and_fro(nominal: tuple) -> None:
-    """Same, other, same: counts never fall, and no estimate is valid before it is decided."""
+def test_the_object_count_never_decreases(nominal: tuple) -> None:
+    """Same, other, same: no estimate is valid before the identity is decided."""
     rig, events, _ = nominal
     _, other, _ = _run("nominal", 108, 4.0)
     watcher = observer.make("shape", rig)
-    told = _replay(watcher, events[:1000])
+    estimates = _replay(watcher, events[:1000])
     last, expected = events[999], []
     for stretch in (events[1000:], other, other):
-        told += _put_back(watcher, [last], stretch)[0]
-        last = replace(stretch[-1], t_sample=told[-1].t)
-        assert told[-1].valid
-        expected.append(told[-1].object_count)
-    counts = [e.object_count for e in told]
+        estimates += _put_back(watcher, [last], stretch)[0]
+        last = replace(stretch[-1], t_sample=estimates[-1].t)
+        assert estimates[-1].valid
+        expected.append(estimates[-1].object_count)
+    counts = [e.object_count for e in estimates]
     assert counts == sorted(counts)
     assert expected == [1, 2, 2]
 
 
-def test_the_extended_observer_counts_right_however_it_recognises(nominal: tuple) -> None:
+def test_the_extended_observer_keeps_the_count_of_the_same_object(nominal: tuple) -> None:
     rig, events, truth = nominal
     watcher = observer.make("extended", rig)
     first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 2.0), (2.0, 6.0)))
@@ -275,7 +275,7 @@ def test_the_extended_observer_counts_right_however_it_recognises(nominal: tuple
     assert abs(_errors([replace(estimates[-1], t=estimates[-1].t - delay)], truth, "r1_m")[0]) < 2e-4
 
 
-def test_a_bank_too_small_to_share_always_begins_blind(nominal: tuple) -> None:
+def test_a_small_bank_always_starts_blind(nominal: tuple) -> None:
     rig, events, _ = nominal
     watcher = BankObserver(ShapeFilters(rig, 8), rig)
     _replay(watcher, events[:1000])
@@ -284,7 +284,7 @@ def test_a_bank_too_small_to_share_always_begins_blind(nominal: tuple) -> None:
 
 
 @pytest.mark.parametrize("kind", [ShapeFilters, ExtendedFilters])
-def test_the_filters_curvature_is_that_of_their_outline(kind: type) -> None:
+def test_the_filters_curvature_rows_match_their_outline(kind: type) -> None:
     filters = kind(RigDescription(hinge="fixed"), 8)
     palms = PalmTracker(2e-4)
     palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
@@ -298,8 +298,8 @@ def test_the_filters_curvature_is_that_of_their_outline(kind: type) -> None:
         assert filters.curvature @ filters.bank.x[member] == pytest.approx(v, abs=1e-6)
 
 
-def test_no_valid_outline_is_hollow() -> None:
-    """A run whose unfelt side came out hollow, by 2.9 mm, before the filters were told that no side is."""
+def test_valid_outlines_are_convex() -> None:
+    """A run whose untouched side was concave by 2.9 mm before the filters had a convexity constraint."""
     rig, events, _ = _run("odd", 111, 10.0)
     watcher = observer.make("shape", rig)
     valid = 0
@@ -309,12 +309,12 @@ def test_no_valid_outline_is_hollow() -> None:
             shape = watcher.shape(estimate.t)
             spectrum = np.fft.rfft(shape.h)
             v = np.fft.irfft(spectrum * (1 - np.arange(len(spectrum)) ** 2.0), len(shape.h))
-            assert v.min() > -2e-4, "between the 72 normals looked at"
+            assert v.min() > -2e-4, "between the 72 constrained normals"
     assert valid > 100
 
 
-def test_a_map_that_leads_astray_is_forgotten(nominal: tuple) -> None:
-    """The readings of the known object stop making sense: the start after next is blind again."""
+def test_a_map_that_causes_divergence_is_discarded(nominal: tuple) -> None:
+    """The known object's readings become inconsistent: the start after next is blind again."""
     rig, events, _ = nominal
     watcher = observer.make("shape", rig)
     _replay(watcher, events[:1000])
@@ -329,8 +329,8 @@ def test_a_map_that_leads_astray_is_forgotten(nominal: tuple) -> None:
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal: tuple, known: bool) -> None:
-    """So that a smoother that is slow, on a busy machine, may go on with all readings of it."""
+def test_losing_an_object_before_it_was_known_keeps_its_start_time(nominal: tuple, known: bool) -> None:
+    """So that a slow smoother on a busy machine can use all readings of the object."""
     rig, events, _ = nominal
     watcher = observer.make("shape", rig)
     right = events[: 1000 if known else 5]
@@ -338,8 +338,8 @@ def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal
     begun, t = watcher.start_time, right[-1].t_sample
     random = np.random.default_rng(5)
     for event in events[len(right) :]:
-        spoilt = replace(event, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(event, PadSample) else event
-        watcher.feed(spoilt)
+        corrupted = replace(event, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(event, PadSample) else event
+        watcher.feed(corrupted)
         valid = watcher.estimate(event.t_sample).valid
         assert known or not valid
         if watcher.object_count > 1:
@@ -348,7 +348,7 @@ def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal
     assert watcher.start_time == begun if not known else watcher.start_time > t
 
 
-def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:
+def test_a_short_lift_is_bridged_without_a_restart(nominal: tuple) -> None:
     rig, events, _ = nominal
     watcher = observer.make("shape", rig)
     bridged = [e for e in events if not (3.0 < e.t_sample < 3.2 and isinstance(e, PadSample))]
@@ -359,8 +359,8 @@ def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:
     assert estimates[-1].valid
 
 
-def test_what_both_pads_say_has_left_is_begun_anew_however_soon_it_is_back(nominal: tuple) -> None:
-    """It lies there turned: filters that are bent until they fit are sure of what is wrong."""
+def test_after_a_lift_from_both_pads_the_estimate_is_re_initialised(nominal: tuple) -> None:
+    """The object may have turned meanwhile, and filters forced to fit it would be overconfident."""
     rig, events, _ = nominal
     first, second = ([e for e in events if low < e.t_sample < high] for low, high in ((0.0, 3.0), (4.0, 4.4)))
     watcher = observer.make("shape", rig)
@@ -374,7 +374,7 @@ def test_what_both_pads_say_has_left_is_begun_anew_however_soon_it_is_back(nomin
     assert watcher._session.track.age(3.6) < 0.5
 
 
-def test_a_gap_in_the_readings_starts_it_again(nominal: tuple) -> None:
+def test_a_gap_in_the_readings_restarts_the_estimate(nominal: tuple) -> None:
     rig, events, _ = nominal
     gap = [e for e in events if not 2.0 < e.t_sample < 3.0]
     estimates = _replay(observer.make("shape", rig), gap)
@@ -389,8 +389,8 @@ def _without_palms(events: list[Event], since: float, until: float) -> list[Even
 
 
 @pytest.mark.parametrize("name", FILTER_BANKS)
-def test_it_goes_on_after_a_short_gap_in_the_palms_reports(nominal: tuple, name: str) -> None:
-    """Unknown palms are no reason to take the object for lost."""
+def test_it_continues_after_a_short_gap_in_the_palms_reports(nominal: tuple, name: str) -> None:
+    """Unknown palm angles do not mean that the object is lost."""
     rig, events, truth = nominal
     watcher = observer.make(name, rig)
     estimates = _replay(watcher, _without_palms(events, 3.0, 3.3))
@@ -411,7 +411,7 @@ def test_it_neither_starts_nor_fuses_while_the_palms_are_unknown(nominal: tuple)
     estimates = _replay(watcher, [first_report, *(e for e in pads if e.t_sample > 0.2)])
     assert watcher.object_count == 0
     assert all(math.isnan(e.r1) for e in estimates)
-    assert math.isnan(estimates[-1].phi1), "palms last heard of seconds ago are not told either"
+    assert math.isnan(estimates[-1].phi1), "palm angles reported seconds ago are not published"
 
     with_pads, without = observer.make("shape", rig), observer.make("shape", rig)
     gap = _without_palms(events, 3.0, 3.3)
@@ -420,7 +420,7 @@ def test_it_neither_starts_nor_fuses_while_the_palms_are_unknown(nominal: tuple)
     assert with_pads.estimate(6.0) == without.estimate(6.0)
 
 
-def test_palms_unknown_for_long_end_the_estimate(nominal: tuple) -> None:
+def test_a_long_gap_in_the_palms_reports_ends_the_estimate(nominal: tuple) -> None:
     rig, events, _ = nominal
     estimates = _replay(observer.make("shape", rig), _without_palms(events, 2.0, 3.0))
     assert not any(e.valid for e in estimates if 2.16 < e.t < 3.0)
@@ -429,7 +429,7 @@ def test_palms_unknown_for_long_end_the_estimate(nominal: tuple) -> None:
 
 
 @pytest.mark.parametrize("name", FILTER_BANKS)
-def test_one_silent_pad_leaves_an_estimate_from_the_other(nominal: tuple, name: str) -> None:
+def test_with_one_silent_pad_the_other_still_gives_an_estimate(nominal: tuple, name: str) -> None:
     rig, events, truth = nominal
     one_pad = [e for e in events if not (isinstance(e, PadSample) and e.pad == 1 and 3.0 < e.t_sample < 3.35)]
     estimates = _replay(observer.make(name, rig), one_pad)
@@ -444,8 +444,8 @@ def test_one_silent_pad_leaves_an_estimate_from_the_other(nominal: tuple, name: 
     assert estimates[-1].valid
 
 
-def test_constant_readings_never_become_a_settled_claim_of_motion() -> None:
-    """A stuck pad and still palms: nothing can be learnt of the shape, and the sd has to say so."""
+def test_constant_readings_never_give_a_sharp_valid_estimate() -> None:
+    """A stuck pad and palms at rest: the shape is not observable, and the sd must show it."""
     rig = RigDescription(hinge="fixed")
     events: list[Event] = []
     for i in range(600):
@@ -456,14 +456,14 @@ def test_constant_readings_never_become_a_settled_claim_of_motion() -> None:
     assert not estimate.valid
 
 
-def test_without_plan_rates_the_angles_alone_will_do(nominal: tuple) -> None:
+def test_palm_angles_without_rates_are_sufficient(nominal: tuple) -> None:
     rig, events, truth = nominal
     bare = [PalmSample(e.t_sample, e.angles) if isinstance(e, PalmSample) else e for e in events]
     late = [e for e in _replay(observer.make("shape", rig), bare) if e.t > 4.0]
     assert np.sqrt(np.mean(_errors(late, truth, "r1_m") ** 2)) < 5e-4
 
 
-def test_missing_forces_cost_the_mass_only(nominal: tuple) -> None:
+def test_without_forces_only_the_mass_is_missing(nominal: tuple) -> None:
     rig, events, _ = nominal
     bare = [replace(e, force=None) if isinstance(e, PadSample) else e for e in events]
     last = _replay(observer.make("shape", rig), bare)[-1]
@@ -471,21 +471,21 @@ def test_missing_forces_cost_the_mass_only(nominal: tuple) -> None:
     assert math.isnan(last.mass)
 
 
-def test_the_same_events_give_the_same_bits(nominal: tuple) -> None:
+def test_the_same_events_give_identical_estimates(nominal: tuple) -> None:
     rig, events, _ = nominal
     runs = [_replay(observer.make("extended", rig), events[:500]) for _ in range(2)]
     assert repr(runs[0]) == repr(runs[1])
 
 
 def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of what is generated; an observer with handwritten C needs a compiler."""
+    """For generated code; an observer with handwritten C needs a compiler."""
     rig, events, _ = nominal
     fast = observer.make("extended", rig)
     _replay(fast, events[:150])
 
     monkeypatch.setattr(compiled, "_opened", lambda _: None)
     monkeypatch.setattr(building, "build", lambda *_: False)
-    monkeypatch.setattr(extended, "library", extended.library.__wrapped__)  # made anew
+    monkeypatch.setattr(extended, "library", extended.library.__wrapped__)  # without its cache
     slow = observer.make("extended", rig)
     assert (fast.backend, slow.backend) == ("c", "vm")
     _replay(slow, events[:150])
@@ -495,7 +495,7 @@ def test_the_virtual_machine_gives_the_same_answer(nominal: tuple, tmp_path, mon
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("friction", 43), ("rig", 2)])
-def test_the_outline_stays_what_it_was_while_the_palms_rest(kind: str, seed: int) -> None:
+def test_the_outline_does_not_change_while_the_palms_rest(kind: str, seed: int) -> None:
     run = simulated(kind, seed, 30.0, rests=((10.0, 30.0),))
     bank = observer.make("shape", run.rig)
     events = sorted(run.events, key=lambda event: event.t_sample)
@@ -506,17 +506,17 @@ def test_the_outline_stays_what_it_was_while_the_palms_rest(kind: str, seed: int
             bank.feed(events.pop(0))
         estimate = bank.estimate(t)
         if t > 12.0 and tick % 50 == 0:
-            told = bank.shape(t)
+            outline = bank.shape(t)
             assert estimate.valid
-            assert told is not None
-            before = before or told
-            difference = (told.h - before.h)[before.touched] / before.h_sd[before.touched]
+            assert outline is not None
+            before = before or outline
+            difference = (outline.h - before.h)[before.touched] / before.h_sd[before.touched]
             moved.append(math.sqrt(float(np.mean(difference**2))))
     assert max(moved) < 1.0
 
 
-def test_the_noisy_pad_is_believed_less_and_it_matters_which_one_that_is(nominal) -> None:
-    """One pad five times as noisy: told which one, the estimate is nearer to the truth than told the other one."""
+def test_each_pads_own_noise_sets_its_weight(nominal) -> None:
+    """With one pad five times as noisy, the estimate is more accurate if the noise is assigned to the right pad."""
     rig, events, truth = nominal
     random = np.random.default_rng(5)
     quiet, noisy = PadSensor(), PadSensor(noise=5e-4)
@@ -529,7 +529,7 @@ def test_the_noisy_pad_is_believed_less_and_it_matters_which_one_that_is(nominal
             for event in events
         ]
         misses = []
-        for told in (bad, 3 - bad):
-            estimates = _replay(observer.make("shape", replace(rig, pads=pads[told])), heard)[-200:]
+        for noisy_pad in (bad, 3 - bad):
+            estimates = _replay(observer.make("shape", replace(rig, pads=pads[noisy_pad])), heard)[-200:]
             misses.append(np.hypot(*(_errors(estimates, truth, f"r{palm}_m") for palm in (1, 2))))
         assert np.median(misses[0]) < 0.7 * np.median(misses[1])

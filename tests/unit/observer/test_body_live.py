@@ -1,4 +1,4 @@
-"""The live observer of a body between three palms, against the plant, which has other equations."""
+"""The live observer of a body between three palms, against the plant, which has independent equations."""
 
 import math
 from dataclasses import replace
@@ -59,7 +59,7 @@ def inputs(t):
 
 
 class Rolled:
-    """A smooth body on moving palms for 0.4 s, and its parameters as the observer has them: none of its own."""
+    """A smooth body on moving palms for 0.4 s, with its parameters as the observer has them."""
 
     def __init__(self):
         rng = np.random.default_rng(2)
@@ -84,7 +84,7 @@ class Rolled:
         plant.begin(centre, np.linalg.solve(normal, lift), R, omega)
         self.t = 2e-3 * np.arange(1, 201)
         self.states, self.read, self.force = [], [], []
-        self.begun = R[0], omega
+        self.initial_state = R[0], omega
         for t in self.t:
             plant.advance(np.concatenate([inputs(t - 2e-3), inputs(t - 1e-3), inputs(t)]), 2e-3)
             self.states.append(plant.state.copy())
@@ -92,7 +92,7 @@ class Rolled:
             self.force.append(plant.force.copy())
 
     def belief(self, spin_off=0.0):
-        R, omega = self.begun
+        R, omega = self.initial_state
         width = 6 + len(self.p)
         sd = np.array([1e-3] * 3 + [0.3] * 3 + [1e-6] * (width - 6))
         none = np.zeros(0)
@@ -106,8 +106,8 @@ def rolled():
     return Rolled()
 
 
-def tracked():
-    """The joints as they are reported every 2 ms."""
+def reported_joints():
+    """The joints as reported every 2 ms."""
     t = 2e-3 * np.arange(-1, 210)
     first, *others = (PalmSample(at, *map(tuple, each)) for at, *each in zip(t.tolist(), *joints(t), strict=True))
     track = JointTrack(first)
@@ -117,19 +117,19 @@ def tracked():
 
 
 def carried(filtered, readings, until):
-    filtered.propagate(readings, until, tracked())
+    filtered.propagate(readings, until, reported_joints())
 
 
-def test_a_step_keeps_to_the_motion_of_a_body_in_six_degrees_of_freedom(rolled):
+def test_prediction_follows_the_plants_rigid_body_motion(rolled):
     filtered = BodyFilter(rolled.belief(), RIG)
     carried(filtered, [], 0.4)
     true = rolled.states[-1]
-    assert np.abs(true[15:] - rolled.begun[1]).max() > 0.3  # there is something to foretell
+    assert np.abs(true[15:] - rolled.initial_state[1]).max() > 0.3  # the spin changes considerably
     assert filtered.omega == pytest.approx(true[15:], abs=3e-3)
     assert np.abs(filtered.R - true[6:15].reshape(3, 3)).max() < 1e-3
 
 
-def test_readings_tell_the_spin_that_was_not_known(rolled):
+def test_readings_determine_an_unknown_spin(rolled):
     filtered = BodyFilter(rolled.belief(spin_off=0.2), RIG)
     rng = np.random.default_rng(1)
     sd = math.sqrt(RIG.pad.reading_variance)
@@ -144,20 +144,20 @@ def test_readings_tell_the_spin_that_was_not_known(rolled):
     assert 0.7 < filtered.nis < 1.4
 
 
-def test_readings_that_are_missed_by_more_than_their_noise_surprise_as_little_where_that_is_told(rolled):
+def test_unexplained_sd_restores_a_nis_of_one(rolled):
     rng, rough = np.random.default_rng(1), 1.5e-4
     sd = math.hypot(math.sqrt(RIG.pad.reading_variance), rough)
     readings = [
         PlaneReading(t, k % 3, *(rolled.read[k][k % 3] + sd * rng.normal(size=2))) for k, t in enumerate(rolled.t)
     ]
-    told, untold = (BodyFilter(replace(rolled.belief(), unexplained_sd=each), RIG) for each in (rough, 0.0))
-    for each in (told, untold):
+    with_sd, without_sd = (BodyFilter(replace(rolled.belief(), unexplained_sd=each), RIG) for each in (rough, 0.0))
+    for each in (with_sd, without_sd):
         carried(each, readings[:-1], rolled.t[-1])
-    assert 0.7 < told.nis < 1.3 < untold.nis
-    assert told._compiled is untold._compiled  # nothing is kept of each answer
+    assert 0.7 < with_sd.nis < 1.3 < without_sd.nis
+    assert with_sd._compiled is without_sd._compiled  # nothing is kept of each answer
 
 
-def test_what_is_compiled_is_its_twin_in_numpy(rolled):
+def test_compiled_filter_agrees_with_numpy(rolled):
     rng = np.random.default_rng(4)
     width = 6 + len(rolled.p)
     root = rng.normal(size=(width, width)) * np.array([1e-3] * 3 + [0.1] * 3 + [1e-4] * (width - 6))[:, None]
@@ -165,7 +165,7 @@ def test_what_is_compiled_is_its_twin_in_numpy(rolled):
     readings = [
         PlaneReading(rolled.t[k], k % 3, *(rolled.read[k][k % 3] + 1e-4 * rng.normal(size=2))) for k in range(3, 60)
     ]
-    readings[20] = replace(readings[20], a=0.5)  # is not fused
+    readings[20] = replace(readings[20], a=0.5)  # not fused
     compiled, twin = (make(belief, RIG) for make in (BodyFilter, PlainFilter))
     sd = np.sqrt(np.diagonal(belief.covariance))
     for each in (compiled, twin):
@@ -176,18 +176,18 @@ def test_what_is_compiled_is_its_twin_in_numpy(rolled):
     assert np.abs((compiled.P - twin.P) / np.outer(sd, sd)).max() < 1e-7
     assert (compiled.P == compiled.P.T).all()
     assert compiled.nis == pytest.approx(twin.nis, rel=1e-7)
-    one, other = compiled.outputs(tracked(), 0.15), twin.outputs(tracked(), 0.15)
+    one, other = compiled.outputs(reported_joints(), 0.15), twin.outputs(reported_joints(), 0.15)
     for name in ("contacts", "centre", "heights"):
         for mine, its in zip(getattr(one, name), getattr(other, name), strict=True):
             assert mine == pytest.approx(its, rel=1e-6, abs=1e-9)
     assert one.force == pytest.approx(other.force, rel=1e-6)
 
 
-def test_contacts_centre_heights_and_forces_are_the_plants(rolled):
+def test_contacts_centre_heights_and_forces_match_the_plant(rolled):
     k = 100
     R, omega = rolled.states[k][6:15].reshape(3, 3), rolled.states[k][15:]
     filtered = BodyFilter(replace(rolled.belief(), t=rolled.t[k], R=R, omega=omega), RIG)
-    seen = filtered.outputs(tracked(), rolled.t[k])
+    seen = filtered.outputs(reported_joints(), rolled.t[k])
     assert np.abs(seen.contacts[0] - rolled.read[k]).max() < 2e-6
     assert np.abs(seen.centre[0] - rolled.states[k][:3]).max() < 1e-6
     assert np.abs(seen.heights[0] - planes(rolled.t[k]).normal[0] @ rolled.states[k][:3]).max() < 1e-6
@@ -195,7 +195,7 @@ def test_contacts_centre_heights_and_forces_are_the_plants(rolled):
     assert seen.centre[1].shape == (3,)
 
 
-def test_a_quaternion_is_its_rotation():
+def test_quaternions_match_their_rotations():
     for R in random_rotation(np.random.default_rng(3), 20):
         assert np.abs(matrix(quaternion(R)) - R).max() < 1e-12
 
@@ -204,7 +204,7 @@ def test_a_quaternion_is_its_rotation():
 
 
 class Stub:
-    """A smoother that answers when it is told to."""
+    """A smoother that gives an answer when requested."""
 
     def __init__(self):
         self.next = None
@@ -231,7 +231,7 @@ def swung(t):
 
 
 def parameters(h_of, inertia, order):
-    """Of a body by its support function and inertia; no drag, and friction as believed beforehand."""
+    """Parameters of a body from its support function and inertia; no drag, and the prior's friction."""
     u, n = icosphere()[0], count(order)
     c = np.linalg.lstsq(evaluator(order)(u)[0], h_of(u), rcond=None)[0]
     lam = np.linalg.cholesky(0.5 * np.trace(inertia) * np.eye(3) - inertia) / (MOMENT * Y00 * c[0])
@@ -239,8 +239,8 @@ def parameters(h_of, inertia, order):
     return np.concatenate([c[:n], lam[np.tril_indices(3)], [0.0, 0.1, math.log(0.01)]])
 
 
-class Lived:
-    """Readings of a body on swinging palms, and a smoother that is led to the right start: a blind one takes long."""
+class LiveRun:
+    """Readings of a body on swinging palms, and a smoother started at the true motion to save a blind start."""
 
     FIRST, END, SECONDS, STEP = 4.4, 4.9, 5.6, 2e-3
 
@@ -263,10 +263,10 @@ class Lived:
             force.append(plant.force.copy())
         self.states = np.stack(states)
         read = readings_of(palms_at(*swung(self.t)), np.stack([points[0], *points]))
-        self.events = self._said(read, np.stack([force[0], *force]), rng)
-        with pytest.MonkeyPatch.context() as led:
-            led.setattr(incremental, "fit_blind_starts", lambda task, record, _: self._right(task, record))
-            led.setattr(incremental, "propagate_and_prune", self._followed)
+        self.events = self._events_of(read, np.stack([force[0], *force]), rng)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(incremental, "fit_blind_starts", lambda task, record, _: self._true_hypothesis(task, record))
+            patch.setattr(incremental, "propagate_and_prune", self._propagated)
             smoother = self.smoother = IncrementalBodySmoother(self.rig)
             smoother.add([event for event in self.events if event.t_sample < self.FIRST])
             self.first = smoother.answer()
@@ -283,7 +283,7 @@ class Lived:
         plant.state[:] = slow.state
         plant.state[3:6] = plant.state[15:] = 0.0
 
-    def _said(self, read, force, rng):
+    def _events_of(self, read, force, rng):
         angle, rate, acceleration = swung(self.t[::8])
         angle = angle + self.rig.angle_noise * rng.normal(size=angle.shape)
         events = [
@@ -299,12 +299,12 @@ class Lived:
     def truth(self, t):
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
 
-    def _followed(self, task, running, *how, **ways):
+    def _propagated(self, task, running, *how, **ways):
         ended = propagate_and_prune(task, running, *how, **ways)
-        self.raced = task, [replace(each, confirmed=each.intervals) for each in ended]
-        return self.raced[1]
+        self.propagated = task, [replace(each, confirmed=each.intervals) for each in ended]
+        return self.propagated[1]
 
-    def _right(self, task, record):
+    def _true_hypothesis(self, task, record):
         x = self.states[np.round(record.t / self.STEP).astype(int)]
         R, omega = x[:, 6:15].reshape(-1, 3, 3), x[:, 15:]
         self.gauge = R[0].T
@@ -316,8 +316,8 @@ class Lived:
         now = BodyHypothesis(prior, record, fit.motion, smoother.end_belief(fit), fit.cost, fit)
         return [now]
 
-    def told(self, observer, stub, until, answer_at):
-        said, waiting, t = [], iter(self.events), self.END - 0.4
+    def replayed(self, observer, stub, until, answer_at):
+        result, waiting, t = [], iter(self.events), self.END - 0.4
         event = next(waiting)
         while t < until:
             t += 0.01
@@ -327,184 +327,190 @@ class Lived:
             if t >= answer_at and self.answer is not None and not observer.improvements:
                 stub.next = self.answer
             observer.improve(t)
-            said.append(observer.estimate(t))
-        return said
+            result.append(observer.estimate(t))
+        return result
 
 
 @pytest.fixture(scope="module")
-def lived():
-    return Lived()
+def live_run():
+    return LiveRun()
 
 
-def test_the_smoother_goes_on_with_what_it_has(lived):
-    assert lived.first is not None
-    assert lived.answer.accepted, lived.answer.reason
-    assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
-    assert lived.answer.t > lived.first.t + 0.4
+def test_the_smoother_continues_from_its_previous_answer(live_run):
+    assert live_run.first is not None
+    assert live_run.answer.accepted, live_run.answer.reason
+    assert live_run.answer.t == pytest.approx(live_run.END, abs=0.05)
+    assert live_run.answer.t > live_run.first.t + 0.4
 
 
-def test_where_all_of_a_record_tells_nothing_it_is_tried_with_more_then_short_starts_then_anew(lived, monkeypatch):
-    task, (first, *_) = lived.raced
-    smoother, sought, numbers = IncrementalBodySmoother(lived.rig), [], 2 * len(first.record.readings.t)
-    dear, strange = (replace(first, cost=share * numbers) for share in (1.4, 1.1))
-    told = []
+def test_failed_starts_are_retried_with_longer_and_shorter_records_then_restarted(live_run, monkeypatch):
+    task, (first, *_) = live_run.propagated
+    smoother, attempts, numbers = IncrementalBodySmoother(live_run.rig), [], 2 * len(first.record.readings.t)
+    costly, near_chance = (replace(first, cost=share * numbers) for share in (1.4, 1.1))
+    starts = []
     monkeypatch.setattr(
-        incremental, "fit_blind_starts", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told
+        incremental, "fit_blind_starts", lambda _, record, __: attempts.append(record.t[-1] - record.t[0]) or starts
     )
-    monkeypatch.setattr(incremental, "start_candidates", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(incremental, "start_candidates", lambda _, seconds: attempts.append(seconds) or [])
     monkeypatch.setattr(incremental, "branch_starts", lambda _, found, **__: found)
-    monkeypatch.setattr(smoother, "_restart_record", lambda _: sought.append("anew"))
-    assert not smoother._start_search(task)  # all were given up
-    told = [dear]
+    monkeypatch.setattr(smoother, "_restart_record", lambda _: attempts.append("restart"))
+    assert not smoother._start_search(task)  # all were rejected
+    starts = [costly]
     assert not any(smoother._start_search(task) for _ in range(2))
     whole = pytest.approx(task.end - task.start, abs=0.03)
-    assert sought == [whole, whole, incremental.SHORT_START_S, "anew"]
-    told = [strange]
-    assert not smoother._start_search(task)  # some more may lead elsewhere
+    assert attempts == [whole, whole, incremental.SHORT_START_S, "restart"]
+    starts = [near_chance]
+    assert not smoother._start_search(task)  # a longer record may lead elsewhere
     assert smoother._start_search(task)
-    assert smoother._hypotheses == [strange]
-    monkeypatch.setattr(incremental, "start_candidates", lambda *_: [first, dear, replace(first, cost=math.inf)])
-    assert smoother._start_search(task)  # of so short a record more is followed
-    assert smoother._hypotheses == [first, dear]
+    assert smoother._hypotheses == [near_chance]
+    monkeypatch.setattr(incremental, "start_candidates", lambda *_: [first, costly, replace(first, cost=math.inf)])
+    assert smoother._start_search(task)  # more hypotheses of such a short record are followed
+    assert smoother._hypotheses == [first, costly]
 
 
-def test_what_two_starts_of_all_of_a_record_have_met_in_is_found_twice_at_once(lived, monkeypatch):
-    task, (first, *_) = lived.raced
+def test_agreement_of_two_starts_of_the_whole_record_confirms_a_hypothesis(live_run, monkeypatch):
+    task, (first, *_) = live_run.propagated
     met = replace(first, confirmed=first.intervals)
     monkeypatch.setattr(incremental, "fit_blind_starts", lambda *_: [replace(first, confirmed=0)])
     monkeypatch.setattr(incremental, "confirm_by_restarts", lambda *_: [met, replace(first, confirmed=0)])
-    smoother = IncrementalBodySmoother(lived.rig)
+    smoother = IncrementalBodySmoother(live_run.rig)
     assert smoother._start_search(task)
     assert [each.is_confirmed for each in smoother._hypotheses] == [True, False]
 
 
-def test_what_was_found_but_once_is_not_claimed(lived):
-    task, (first, *_) = lived.raced
+def test_an_unconfirmed_motion_is_not_accepted(live_run):
+    task, (first, *_) = live_run.propagated
     enough = -(-2 * first.intervals // 3)
-    assert lived.smoother._make_answer(task, [replace(first, confirmed=enough)]).accepted
-    said = lived.smoother._make_answer(task, [replace(first, confirmed=enough - 1)])
-    assert (said.accepted, said.reason) == (False, "the motion is not yet confirmed by an independent restart")
+    assert live_run.smoother._make_answer(task, [replace(first, confirmed=enough)]).accepted
+    result = live_run.smoother._make_answer(task, [replace(first, confirmed=enough - 1)])
+    assert (result.accepted, result.reason) == (False, "the motion is not yet confirmed by an independent restart")
 
 
-def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
+def test_the_filter_catches_up_and_is_consistent(live_run):
     stub = Stub()
-    observer = BodyObserver(lived.rig, stub)
-    said = lived.told(observer, stub, lived.END + 0.5, lived.END + 0.05)
-    before = [each for each in said if each.t < lived.END]
+    observer = BodyObserver(live_run.rig, stub)
+    result = live_run.replayed(observer, stub, live_run.END + 0.5, live_run.END + 0.05)
+    before = [each for each in result if each.t < live_run.END]
     assert not any(each.valid for each in before)
     assert before[-1].reason == "no motion found yet that explains the readings"
-    valid = [each for each in said if each.valid]
+    valid = [each for each in result if each.valid]
     assert valid
-    assert valid[0].t < lived.END + 0.3
+    assert valid[0].t < live_run.END + 0.3
     squares = []
     for each in valid:
         names = [f"omega_{axis}_rad_s" for axis in "xyz"], [f"com_{axis}_m" for axis in "xyz"]
         for group, part in zip(names, (slice(15, 18), slice(0, 3)), strict=True):
-            true = lived.truth(each.t)[part]
+            true = live_run.truth(each.t)[part]
             squares += [((each.values[n] - v) / each.sd[n]) ** 2 for n, v in zip(group, true, strict=True)]
     assert np.mean(squares) < 3.0
-    shape = observer.shape(lived.END + 0.5)
-    assert observer.shape(lived.END + 0.5) is None  # once
+    shape = observer.shape(live_run.END + 0.5)
+    assert observer.shape(live_run.END + 0.5) is None  # once
     fields = says.shape_fields(shape, 1, True)
-    true = lived.h_of(icosphere()[0])
-    error, sd, share = surface_error(fields, true, lived.gauge)
+    true = live_run.h_of(icosphere()[0])
+    error, sd, share = surface_error(fields, true, live_run.gauge)
     assert error < 1e-4
     assert 0.2 < error / sd < 3.0
     assert share > 0.01
 
 
-def test_contacts_and_spin_are_told_as_roughly_as_readings_are_missed(lived):
-    def told(rough):
-        lived.answer, kept = replace(lived.answer, unexplained_sd=rough), lived.answer
-        said = lived.told(BodyObserver(lived.rig, stub := Stub()), stub, lived.END + 0.2, lived.END + 0.05)[-1]
-        lived.answer = kept
-        return said.sd
+def test_sds_of_contacts_and_spin_include_the_unexplained_residual(live_run):
+    def sds_with(rough):
+        live_run.answer, kept = replace(live_run.answer, unexplained_sd=rough), live_run.answer
+        result = live_run.replayed(
+            BodyObserver(live_run.rig, stub := Stub()), stub, live_run.END + 0.2, live_run.END + 0.05
+        )[-1]
+        live_run.answer = kept
+        return result.sd
 
-    exact, rough = told(0.0), told(9e-5)
+    exact, rough = sds_with(0.0), sds_with(9e-5)
     for name in ("a1_m", "b3_m", "com_z_m"):
         assert rough[name] > 9e-5 > exact[name]
     assert rough["omega_x_rad_s"] > 3 * live.TRUNCATED_RAD_S > exact["omega_x_rad_s"]
 
 
-def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
-    first = BodyObserver(lived.rig, stub := Stub())
-    said = [says.estimate_fields(each) for each in lived.told(first, stub, lived.END + 0.3, lived.END + 0.05)]
-    recorded = says.answer_of(says.answer_fields(0.0, lived.answer))
-    lived.answer, kept = recorded, lived.answer
-    second = BodyObserver(lived.rig, stub := Stub())
-    again = [says.estimate_fields(each) for each in lived.told(second, stub, lived.END + 0.3, lived.END + 0.05)]
-    lived.answer = kept
-    assert msgpack.packb(said) == msgpack.packb(again)
+def test_the_same_input_gives_identical_estimates(live_run):
+    first = BodyObserver(live_run.rig, stub := Stub())
+    result = [
+        says.estimate_fields(each) for each in live_run.replayed(first, stub, live_run.END + 0.3, live_run.END + 0.05)
+    ]
+    recorded = says.answer_of(says.answer_fields(0.0, live_run.answer))
+    live_run.answer, kept = recorded, live_run.answer
+    second = BodyObserver(live_run.rig, stub := Stub())
+    again = [
+        says.estimate_fields(each) for each in live_run.replayed(second, stub, live_run.END + 0.3, live_run.END + 0.05)
+    ]
+    live_run.answer = kept
+    assert msgpack.packb(result) == msgpack.packb(again)
 
 
-def go_on(lived, observer, begin, end, without=None):
-    """The log's events between two times, but for those of a pad."""
-    for event in lived.events:
+def continued(live_run, observer, begin, end, without=None):
+    """Feed the log's events between two times, except those of one pad."""
+    for event in live_run.events:
         if begin < event.t_sample <= end and not (isinstance(event, PadSample) and event.pad == without):
             observer.feed(event)
     observer.improve(end)
     return observer.estimate(end)
 
 
-def ticked(lived, observer, begin, end):
-    """The same tick by tick."""
+def ticked(live_run, observer, begin, end):
+    """The same in ticks of 10 ms."""
     for k in range(round((end - begin) / 0.01)):
-        go_on(lived, observer, begin + 0.01 * k, begin + 0.01 * (k + 1))
+        continued(live_run, observer, begin + 0.01 * k, begin + 0.01 * (k + 1))
 
 
-def test_a_pad_that_is_silent_for_a_moment_interrupts_the_claim_and_nothing_else(lived):
-    observer = BodyObserver(lived.rig, stub := Stub())
-    assert lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)[-1].valid
-    observer.feed(PadLift(lived.END + 0.405, 2))  # on a busy machine it says so of packets that come late
-    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45, without=2)
-    assert not said.valid
-    assert said.reason == "nothing touches palm 2"
-    said = go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
-    assert said.valid, said.reason
+def test_a_short_silence_of_a_pad_only_interrupts_validity(live_run):
+    observer = BodyObserver(live_run.rig, stub := Stub())
+    assert live_run.replayed(observer, stub, live_run.END + 0.4, live_run.END + 0.05)[-1].valid
+    observer.feed(PadLift(live_run.END + 0.405, 2))  # on a busy machine late packets can cause this
+    result = continued(live_run, observer, live_run.END + 0.4, live_run.END + 0.45, without=2)
+    assert not result.valid
+    assert result.reason == "nothing touches palm 2"
+    result = continued(live_run, observer, live_run.END + 0.45, live_run.END + 0.5)
+    assert result.valid, result.reason
 
 
-def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
-    observer = BodyObserver(lived.rig, stub := Stub())
-    lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
-    observer.feed(PadLift(lived.END + 0.405, 2))
-    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.4 + GAP_S + 0.02, without=2)
-    assert not said.valid
-    said = go_on(lived, observer, lived.END + 0.4 + GAP_S + 0.02, lived.END + 0.6)
-    assert not said.valid
-    assert math.isnan(said.quaternion[0])
-    stub.next = lived.answer  # about what was there before
-    observer.improve(lived.END + 0.61)
-    assert observer.estimate(lived.END + 0.61).hypotheses == 0
+def test_losing_a_contact_ends_the_estimate(live_run):
+    observer = BodyObserver(live_run.rig, stub := Stub())
+    live_run.replayed(observer, stub, live_run.END + 0.4, live_run.END + 0.05)
+    observer.feed(PadLift(live_run.END + 0.405, 2))
+    result = continued(live_run, observer, live_run.END + 0.4, live_run.END + 0.4 + GAP_S + 0.02, without=2)
+    assert not result.valid
+    result = continued(live_run, observer, live_run.END + 0.4 + GAP_S + 0.02, live_run.END + 0.6)
+    assert not result.valid
+    assert math.isnan(result.quaternion[0])
+    stub.next = live_run.answer  # refers to the object before
+    observer.improve(live_run.END + 0.61)
+    assert observer.estimate(live_run.END + 0.61).hypotheses == 0
 
 
-def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
-    observer = BodyObserver(lived.rig, stub := Stub())
+def test_the_planning_belief_has_pose_and_touched_normals(live_run):
+    observer = BodyObserver(live_run.rig, stub := Stub())
     assert not observer.has_planning_belief
-    assert observer.planning_belief(lived.END - 0.2) is None
-    lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
+    assert observer.planning_belief(live_run.END - 0.2) is None
+    live_run.replayed(observer, stub, live_run.END + 0.4, live_run.END + 0.05)
     assert observer.has_planning_belief
-    told = observer.planning_belief(lived.END + 0.4)
-    R = lived.truth(told.t)[6:15].reshape(3, 3)
-    assert (told.accepted, told.record_start) == (True, lived.answer.record_start)
-    assert np.abs(told.R - R @ lived.gauge).max() < 0.02
-    assert told.covariance.shape == lived.answer.covariance.shape
-    assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
-    since = (lived.END + 0.4 - lived.answer.t) / live.NORMALS_EVERY_S
-    assert len(told.normals_since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
-    normal = palms_at(*swung(np.array([lived.END + 0.4]))).normal[0]
-    assert np.abs(told.normals_since[-1] - -normal @ told.R).max() < 0.1
-    observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # what was claimed is contradicted a little
+    belief = observer.planning_belief(live_run.END + 0.4)
+    R = live_run.truth(belief.t)[6:15].reshape(3, 3)
+    assert (belief.accepted, belief.record_start) == (True, live_run.answer.record_start)
+    assert np.abs(belief.R - R @ live_run.gauge).max() < 0.02
+    assert belief.covariance.shape == live_run.answer.covariance.shape
+    assert belief.touched.tolist() == (live_run.answer.touched > 0).tolist()
+    since = (live_run.END + 0.4 - live_run.answer.t) / live.NORMALS_EVERY_S
+    assert len(belief.normals_since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
+    normal = palms_at(*swung(np.array([live_run.END + 0.4]))).normal[0]
+    assert np.abs(belief.normals_since[-1] - -normal @ belief.R).max() < 0.1
+    observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # the accepted motion is slightly contradicted
     assert observer.has_planning_belief
-    assert not observer.planning_belief(lived.END + 0.4).accepted
-    stub.next = replace(lived.answer, accepted=False, reason="the readings determine too little of the shape")
-    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
-    assert (said.valid, observer.has_planning_belief, observer.planning_belief(lived.END + 0.45).accepted) == (
+    assert not observer.planning_belief(live_run.END + 0.4).accepted
+    stub.next = replace(live_run.answer, accepted=False, reason="the readings determine too little of the shape")
+    result = continued(live_run, observer, live_run.END + 0.4, live_run.END + 0.45)
+    assert (result.valid, observer.has_planning_belief, observer.planning_belief(live_run.END + 0.45).accepted) == (
         False,
         True,
         False,
     )
-    stub.next = replace(lived.answer, hypotheses=0, accepted=False)
-    go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
+    stub.next = replace(live_run.answer, hypotheses=0, accepted=False)
+    continued(live_run, observer, live_run.END + 0.45, live_run.END + 0.5)
     assert not observer.has_planning_belief
 
 
@@ -518,61 +524,61 @@ def turned(answer, G, begun):
     return replace(answer, R=answer.R @ G, p=p, covariance=np.diag(sd**2), record_start=begun)
 
 
-def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_that_foretells(lived):
-    at, G = lived.END + 0.2, exp(np.array([0.4, -0.9, 0.3]))
-    lost = replace(lived.answer, hypotheses=0, accepted=False, reason="the motion no longer explains the readings")
-    for foretells in (True, False):
-        observer = BodyObserver(lived.rig, stub := Stub())
-        lived.told(observer, stub, at, lived.END + 0.05)
+def test_the_next_records_frame_follows_from_the_lost_one_while_that_predicts(live_run):
+    at, G = live_run.END + 0.2, exp(np.array([0.4, -0.9, 0.3]))
+    lost = replace(live_run.answer, hypotheses=0, accepted=False, reason="the motion no longer explains the readings")
+    for predicts in (True, False):
+        observer = BodyObserver(live_run.rig, stub := Stub())
+        live_run.replayed(observer, stub, at, live_run.END + 0.05)
         first = observer.planning_belief(at)
         stub.next = lost
-        said = go_on(lived, observer, at, at + 0.05)
-        assert (said.valid, said.reason, observer.planning_belief(at + 0.05)) == (False, lost.reason, None)
-        if not foretells:
+        result = continued(live_run, observer, at, at + 0.05)
+        assert (result.valid, result.reason, observer.planning_belief(at + 0.05)) == (False, lost.reason, None)
+        if not predicts:
             observer._previous._body[12] = 1.1 * live.NIS_PREDICTIVE
-        stub.next = turned(lived.answer, G, lived.answer.record_start + 1.0)
-        go_on(lived, observer, at + 0.05, at + 0.06)
-        assert observer.planning_belief(at + 0.06) is None  # not of one record by the filter of another
-        ticked(lived, observer, at + 0.06, at + 0.16)
-        told = observer.planning_belief(at + 0.16)
-        assert told.record_start > first.record_start
-        assert told.frame - first.frame == (0 if foretells else 1)
-        assert np.abs(told.turn - (G if foretells else np.eye(3))).max() < 5e-3
-    stub.next = turned(lived.answer, np.eye(3), lived.answer.record_start + 2.0)  # one follows the other at once
-    ticked(lived, observer, at + 0.16, at + 0.3)
+        stub.next = turned(live_run.answer, G, live_run.answer.record_start + 1.0)
+        continued(live_run, observer, at + 0.05, at + 0.06)
+        assert observer.planning_belief(at + 0.06) is None  # never a belief of one record with the filter of another
+        ticked(live_run, observer, at + 0.06, at + 0.16)
+        belief = observer.planning_belief(at + 0.16)
+        assert belief.record_start > first.record_start
+        assert belief.frame - first.frame == (0 if predicts else 1)
+        assert np.abs(belief.turn - (G if predicts else np.eye(3))).max() < 5e-3
+    stub.next = turned(live_run.answer, np.eye(3), live_run.answer.record_start + 2.0)
+    ticked(live_run, observer, at + 0.16, at + 0.3)
     again = observer.planning_belief(at + 0.3)
-    assert (again.frame, again.record_start) == (told.frame, lived.answer.record_start + 2.0)
+    assert (again.frame, again.record_start) == (belief.frame, live_run.answer.record_start + 2.0)
     assert np.abs(again.turn - G.T).max() < 5e-3
 
 
-def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
-    task, ended = lived.raced
+def test_touched_normals_are_those_of_the_current_answer(live_run):
+    task, ended = live_run.propagated
     motion = ended[0].motion
     erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
-    lived.smoother._make_answer(task, [erring])
-    told = lived.smoother._make_answer(task, ended)
-    assert (told.touched > 0).tolist() == directions_near(ended[0].touched_normals).tolist()
+    live_run.smoother._make_answer(task, [erring])
+    answered = live_run.smoother._make_answer(task, ended)
+    assert (answered.touched > 0).tolist() == directions_near(ended[0].touched_normals).tolist()
 
 
-def test_the_loop_is_told_an_outline_of_the_usual_degree_as_what_was_felt_tells_it(lived):
-    task, (first, *_) = lived.raced
+def test_the_loops_outline_has_the_usual_degree_and_the_predictive_belief(live_run):
+    task, (first, *_) = live_run.propagated
     p, ahead = beliefs.with_order(first.motion.p, 16), beliefs.belief_with_order(first.end_belief, 16)
     finer = replace(first, motion=replace(first.motion, p=p), end_belief=ahead)
-    told = lived.smoother._make_answer(task, [finer])
-    assert len(told.p) == len(first.motion.p)
-    touched = told.touched > 0
+    answered = live_run.smoother._make_answer(task, [finer])
+    assert len(answered.p) == len(first.motion.p)
+    touched = answered.touched > 0
     mean, covariance = touched_outline(ahead.mean, np.linalg.inv(ahead.information), touched, ORDER)
-    np.testing.assert_allclose(told.p, mean, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(np.diagonal(told.covariance)[10:], np.diagonal(covariance)[10:], rtol=1e-4)
+    np.testing.assert_allclose(answered.p, mean, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(np.diagonal(answered.covariance)[10:], np.diagonal(covariance)[10:], rtol=1e-4)
     rows = evaluator(ORDER)(icosphere()[0])[0]
-    np.testing.assert_allclose(told.h[~touched], (rows @ told.p[: count(ORDER)])[~touched], rtol=1e-9)
-    np.testing.assert_allclose(told.h[touched], (rows @ ahead.mean[: count(ORDER)])[touched], atol=1e-6)
+    np.testing.assert_allclose(answered.h[~touched], (rows @ answered.p[: count(ORDER)])[~touched], rtol=1e-9)
+    np.testing.assert_allclose(answered.h[touched], (rows @ ahead.mean[: count(ORDER)])[touched], atol=1e-6)
 
 
-def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
-    task, ended = lived.raced
+def test_unexplained_residuals_widen_the_sd_of_the_centre_of_mass(live_run):
+    task, ended = live_run.propagated
     costing = ([replace(ended[0], cost=share * ended[0].record.numbers)] for share in (1.0, 1.2))
-    explained, unexplained = (lived.smoother._make_answer(task, each) for each in costing)
+    explained, unexplained = (live_run.smoother._make_answer(task, each) for each in costing)
     assert (explained.unexplained_sd, unexplained.unexplained_sd) == pytest.approx(
         (0.0, math.sqrt(0.2) * task.noise.reading)
     )
@@ -583,15 +589,15 @@ def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     assert np.count_nonzero(wider) == 3
 
 
-def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation_does(lived, monkeypatch):
-    task, ended = lived.raced
+def test_a_confirmed_and_proven_hypothesis_may_cost_as_much_as_truncation(live_run, monkeypatch):
+    task, ended = live_run.propagated
     costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
-    smoother = lived.smoother
+    smoother = live_run.smoother
     monkeypatch.setattr(smoother, "_accepted", False)
     monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S + 0.1)
     assert not smoother._make_answer(task, costly).accepted
     assert not smoother._accepted
-    assert smoother._make_answer(task, ended).accepted  # from now on
+    assert smoother._make_answer(task, ended).accepted  # accepted from now on
     assert smoother._accepted
     assert not smoother._make_answer(task, costly).accepted
     monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
@@ -603,8 +609,8 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     )
 
 
-def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
-    task, (first, *_) = lived.raced
+def test_a_tumbled_body_may_cost_no_more_than_noise(live_run):
+    task, (first, *_) = live_run.propagated
     tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, 9.0))
     costly = replace(first, motion=tumbled, cost=1.2 * first.record.numbers)
     assert (
@@ -613,48 +619,50 @@ def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
     )
 
 
-def test_a_start_of_a_whole_record_that_leads_nowhere_is_given_up(lived, monkeypatch):
-    task, _ = lived.raced
+def test_a_start_of_a_whole_record_above_the_cost_limit_is_rejected(live_run, monkeypatch):
+    task, _ = live_run.propagated
     record, (way, *_) = task.record(1.5), beliefs.start_assumptions()
     assert propagation.fit_blind_starts(task, record, [way])
     monkeypatch.setattr(propagation, "START_COST_LIMIT", 0.1)
     assert propagation.fit_blind_starts(task, record, [way]) == []
 
 
-def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
+def test_the_best_hypothesis_is_smoothed_before_it_is_answered(live_run, monkeypatch):
     def unsmoothed(task, running, **_):
         return [propagate(task, running[0], task.intervals(task.end - task.start))]
 
     monkeypatch.setattr(incremental, "propagate_and_prune", unsmoothed)
-    lived.smoother.add([event for event in lived.events if event.t_sample >= lived.END])
-    answer = lived.smoother.answer()
+    live_run.smoother.add([event for event in live_run.events if event.t_sample >= live_run.END])
+    answer = live_run.smoother.answer()
     assert answer is not None
-    assert answer.t > lived.answer.t + 0.5
+    assert answer.t > live_run.answer.t + 0.5
     assert math.isfinite(answer.mass)
 
 
-def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monkeypatch):
-    def lived_again(twice, task, running, **__):
+def test_only_confirmed_hypotheses_get_finer_harmonics(live_run, monkeypatch):
+    def propagate_confirmed(twice, task, running, **__):
         return [replace(each, confirmed=twice * each.intervals) for each in propagate_and_prune(task, running)]
 
     asked = []
-    monkeypatch.setattr(incremental, "fit_blind_starts", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(
+        incremental, "fit_blind_starts", lambda task, record, _: live_run._true_hypothesis(task, record)
+    )
     monkeypatch.setattr(
         incremental, "refine_outline", lambda _, now, orders: asked.append((now.is_confirmed, orders)) or now
     )
     for twice in (False, True):
-        smoother = IncrementalBodySmoother(lived.rig)
-        smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
-        monkeypatch.setattr(incremental, "propagate_and_prune", partial(lived_again, twice))
+        smoother = IncrementalBodySmoother(live_run.rig)
+        smoother.add([event for event in live_run.events if event.t_sample < live_run.FIRST])
+        monkeypatch.setattr(incremental, "propagate_and_prune", partial(propagate_confirmed, twice))
         smoother.answer()
     assert asked == [(True, FINER_ORDERS_LIVE)]
 
 
 @pytest.mark.parametrize("innovation_test", [2.9, 3.1])
-def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, innovation_test):
-    """Ways on that differ may all be explained, the more so the further harmonics bend."""
-    task, (first, *_) = lived.raced
-    smoother = IncrementalBodySmoother(lived.rig)
+def test_after_a_failed_innovation_test_a_hypothesis_needs_confirmation(live_run, monkeypatch, innovation_test):
+    """Several continuations may explain the readings, especially with finer harmonics."""
+    task, (first, *_) = live_run.propagated
+    smoother = IncrementalBodySmoother(live_run.rig)
     on = replace(first, windows=(*first.windows, (5, innovation_test)), confirmed=first.intervals)
     monkeypatch.setattr(smoother, "_task", lambda: task)
     monkeypatch.setattr(smoother, "_hypotheses", [replace(first, record=task.full_record.first(first.intervals - 5))])
@@ -662,48 +670,50 @@ def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, 
     monkeypatch.setattr(smoother, "_confirmed_since", -math.inf)
     monkeypatch.setattr(propagation, "TUMBLE_RAD_S", 0.0)
     monkeypatch.setattr(incremental, "propagate_and_prune", lambda *_, **__: [on])
-    said = smoother.answer()
+    result = smoother.answer()
     assert smoother._hypotheses[0].is_confirmed is (innovation_test < 3.0)
-    assert (said.reason == reconstruct.UNCONFIRMED) is (innovation_test > 3.0)
+    assert (result.reason == reconstruct.UNCONFIRMED) is (innovation_test > 3.0)
     assert (smoother._confirmed_since == math.inf) is (innovation_test > 3.0)
 
 
-def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
+def test_residuals_hidden_by_finer_harmonics_are_kept_as_hidden_cost(live_run, monkeypatch):
     def bent(_, now, __):
         p = beliefs.with_order(now.motion.p, 16)
         ahead = beliefs.belief_with_order(now.end_belief, 16)
         return replace(now, motion=replace(now.motion, p=p), end_belief=ahead, cost=now.record.numbers)
 
-    def dear(_, running, **__):
+    def costly(_, running, **__):
         return [replace(each, cost=1.2 * each.record.numbers, confirmed=each.intervals) for each in running]
 
-    def told(finer):
-        smoother = IncrementalBodySmoother(lived.rig)
-        smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
+    def hidden_share(finer):
+        smoother = IncrementalBodySmoother(live_run.rig)
+        smoother.add([event for event in live_run.events if event.t_sample < live_run.FIRST])
         monkeypatch.setattr(incremental, "refine_outline", finer)
         smoother.answer()
         return smoother._hidden_cost / smoother._hypotheses[0].record.numbers
 
-    monkeypatch.setattr(incremental, "fit_blind_starts", lambda task, record, _: lived._right(task, record))
-    monkeypatch.setattr(incremental, "propagate_and_prune", dear)
-    assert told(lambda _, now, __: now) == 0.0
-    assert told(bent) == pytest.approx(0.2)
+    monkeypatch.setattr(
+        incremental, "fit_blind_starts", lambda task, record, _: live_run._true_hypothesis(task, record)
+    )
+    monkeypatch.setattr(incremental, "propagate_and_prune", costly)
+    assert hidden_share(lambda _, now, __: now) == 0.0
+    assert hidden_share(bent) == pytest.approx(0.2)
 
 
-def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(lived, monkeypatch):
-    task, ended = lived.raced
-    said = lived.smoother._make_answer(task, ended)
-    monkeypatch.setattr(lived.smoother, "_hidden_cost", 0.1 * ended[0].record.numbers)
-    hidden = lived.smoother._make_answer(task, ended)
-    assert (hidden.h_sd**2 - said.h_sd**2).min() > 0.5 * 0.1 * task.noise.reading**2
+def test_the_hidden_cost_widens_the_sd_of_the_centre_of_mass(live_run, monkeypatch):
+    task, ended = live_run.propagated
+    result = live_run.smoother._make_answer(task, ended)
+    monkeypatch.setattr(live_run.smoother, "_hidden_cost", 0.1 * ended[0].record.numbers)
+    hidden = live_run.smoother._make_answer(task, ended)
+    assert (hidden.h_sd**2 - result.h_sd**2).min() > 0.5 * 0.1 * task.noise.reading**2
     long = replace(ended[0], marginalised=(9 * ended[0].record.numbers, 9.0 * ended[0].record.numbers))
-    later = lived.smoother._make_answer(task, [long])  # spread over what was read since
-    assert (later.h_sd**2 - said.h_sd**2).max() < 0.2 * 0.1 * task.noise.reading**2
-    assert (np.diagonal(hidden.covariance)[7:10] > np.diagonal(said.covariance)[7:10]).all()
+    later = live_run.smoother._make_answer(task, [long])  # spread over all readings since
+    assert (later.h_sd**2 - result.h_sd**2).max() < 0.2 * 0.1 * task.noise.reading**2
+    assert (np.diagonal(hidden.covariance)[7:10] > np.diagonal(result.covariance)[7:10]).all()
 
 
-def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, monkeypatch):
-    task, (first, *_) = lived.raced
+def test_hypotheses_with_finer_harmonics_are_confirmed_by_starts_with_the_same_order(live_run, monkeypatch):
+    task, (first, *_) = live_run.propagated
     asked = []
     monkeypatch.setattr(propagation, "fit_blind_starts", lambda *given: asked.append(given[-1]) or [first])
     monkeypatch.setattr(propagation, "refine_outline", lambda _, now, orders: asked.append(orders) or now)
@@ -712,12 +722,12 @@ def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, mon
     asked.clear()
     p = beliefs.with_order(first.motion.p, 16)
     propagation.confirm_by_restarts(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
-    assert asked == [math.inf, (16,)]  # it costs more until it has been bent
+    assert asked == [math.inf, (16,)]  # it costs more until the finer order is fitted
 
 
-def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_for_them(lived, monkeypatch):
-    task, (first, *_) = lived.raced
-    smoother, tried = lived.smoother, []
+def test_short_restarts_wait_for_the_next_round_and_acceptance_waits_for_them(live_run, monkeypatch):
+    task, (first, *_) = live_run.propagated
+    smoother, tried = live_run.smoother, []
     for name in ("_short_starts_due", "_restarts_tried_at", "_marginalised", "_accepted", "_confirmed_since"):
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
@@ -731,22 +741,22 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     smoother._restarts_tried_at = 0
     assert smoother._confirm(task, [first]) == [first]
     assert tried == ["whole"]
-    said = smoother._make_answer(task, [first])
-    assert (said.accepted, "restarts are pending" in said.reason) == (False, True)
-    found = []  # nothing else
+    result = smoother._make_answer(task, [first])
+    assert (result.accepted, "restarts are pending" in result.reason) == (False, True)
+    found = []  # no other hypothesis
     assert smoother._confirm(task, [first])[0] is first
     assert tried == ["whole", "short"]
     assert smoother._make_answer(task, [first]).accepted
     assert smoother._confirm(task, [first]) == [first]
-    assert tried == ["whole", "short"]  # neither again until there is more
+    assert tried == ["whole", "short"]  # neither again until there are more readings
     found, smoother._restarts_tried_at = [cheaper], 0
     smoother._confirm(task, [first])
     assert smoother._confirm(task, [first])[0] is cheaper
-    assert tried == ["whole", "short", "whole", "short", "whole"]  # which is to be found twice, too
+    assert tried == ["whole", "short", "whole", "short", "whole"]  # the cheaper one needs confirmation, too
 
 
-def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_to_be_found_again(lived, monkeypatch):
-    task, (first, *_) = lived.raced
+def test_a_lower_minimum_of_the_accepted_motion_is_confirmed_and_another_motion_is_not(live_run, monkeypatch):
+    task, (first, *_) = live_run.propagated
 
     def found(off, *, accepted):
         omega = first.motion.omega + off
@@ -762,11 +772,9 @@ def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_
 
 
 @pytest.mark.parametrize(("off", "twice"), [(0.03, True), (0.2, False)])
-def test_what_goes_on_from_a_fold_is_found_again_by_who_moves_alike_and_goes_on_in_its_own_frame(
-    lived, monkeypatch, off, twice
-):
-    task, (first, *_) = lived.raced
-    smoother = IncrementalBodySmoother(lived.rig)
+def test_after_marginalisation_a_restart_with_the_same_motion_confirms(live_run, monkeypatch, off, twice):
+    task, (first, *_) = live_run.propagated
+    smoother = IncrementalBodySmoother(live_run.rig)
     smoother._marginalised = True
     alone, turn = replace(first, confirmed=0), exp(np.array([0.3, -0.4, 0.2]))
     motion = replace(first.motion, R=first.motion.R @ turn, omega=first.motion.omega + off)
@@ -776,18 +784,18 @@ def test_what_goes_on_from_a_fold_is_found_again_by_who_moves_alike_and_goes_on_
     (again,) = smoother._confirm(task, [alone])
     assert again == (replace(first, confirmed=first.intervals) if twice else alone)
     monkeypatch.setattr(propagation, "fit_blind_starts", None)
-    assert smoother._confirm(task, [again]) == [again]  # not again until there is more
+    assert smoother._confirm(task, [again]) == [again]  # not again until there are more readings
 
 
-def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):
-    task, _ = lived.raced
-    (early,) = lived._right(task, task.record(2.0))
+def test_hypotheses_above_the_cost_limit_stop_and_branches_are_limited(live_run, monkeypatch):
+    task, _ = live_run.propagated
+    (early,) = live_run._true_hypothesis(task, task.record(2.0))
     assert propagate_and_prune(task, [early], early.cost - 1.0)[0].intervals == early.intervals
     forked = []
     monkeypatch.setattr(
         propagation, "_best_branch", lambda *it: forked.append(it) or propagation._extended(*it[:2], 0.4, it[2])
     )
-    monkeypatch.setattr(propagation, "BRANCH_COST_GATE", 0.0)  # every window is foretold badly
+    monkeypatch.setattr(propagation, "BRANCH_COST_GATE", 0.0)  # every window fails its prediction
     for forks in (0, 1):
         forked.clear()
         further = propagate(task, early, early.intervals + 45, branchings=forks)
@@ -795,7 +803,7 @@ def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more
         assert len(forked) == forks
 
 
-def test_what_is_late_is_counted_and_dropped():
+def test_late_events_are_counted_and_dropped():
     observer = BodyObserver(RIG, Stub())
     observer.feed(PalmSample(1.0, (0.9, 0.8, 0.8), (0.0,) * 3, (0.0,) * 3))
     observer.feed(PadSample(1.0, 1, 0.02, 0.1, 0.0))
@@ -805,7 +813,7 @@ def test_what_is_late_is_counted_and_dropped():
     assert observer.late_dropped == 2
 
 
-def test_joints_are_known_in_the_past_too():
+def test_joints_are_interpolated_at_past_times():
     track = JointTrack(PalmSample(0.0, (0.5, 0.5, 0.5), (1.0,) * 3, (0.0,) * 3))
     for k in range(1, 3000):
         t = 0.016 * k
@@ -814,7 +822,7 @@ def test_joints_are_known_in_the_past_too():
     assert track.at(t)[0][:, 0] == pytest.approx(0.5 + t)
 
 
-def test_a_surface_is_scored_after_the_best_turn_and_no_better():
+def test_a_surface_is_scored_after_the_best_rotation():
     u = icosphere()[0]
     rng = np.random.default_rng(4)
     c = np.concatenate([[0.07], rng.normal(size=24) * 3e-4])

@@ -1,4 +1,4 @@
-"""Segments marginalised one after the other say what the whole record says at once."""
+"""A chain of marginalised segments has the information of the whole record."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ from palmd.observer.search import NOISE, Attempt, Search
 from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
-STEPS = 100  # a second
+STEPS = 100  # 1 s
 
 
 @pytest.fixture(scope="module")
 def smoothed():
-    """A search and what it found on six seconds."""
+    """A search and its result on six seconds."""
     run = simulated("friction", 7, 6.0)
     search = Search(longest_segment(run.events), run.rig)
     finding = search.blind(Attempt(2.0, 3), seed=0)
@@ -28,7 +28,7 @@ def smoothed():
 
 
 def cut(smoothed, kept=60, at=None):
-    """The chain of the record's segments, all linearised where the whole has been, or at other constants."""
+    """The chain of the record's segments, linearised at the result for the whole record or at other constants."""
     search, finding = smoothed
     record, guess = finding.record, finding.fits[0].guess
     chain = Chain(search.library, NOISE, search.prior, kept)
@@ -38,8 +38,8 @@ def cut(smoothed, kept=60, at=None):
     return chain
 
 
-@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "folded"])
-def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
+@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "marginalised"])
+def test_a_chain_has_the_information_of_the_whole_record(smoothed, kept):
     search, finding = smoothed
     best = finding.fits[0]
     whole = Smoother(search.library, finding.record, search.prior).posterior(best).covariance
@@ -48,18 +48,18 @@ def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
     covariance = np.linalg.inv(known.matrix)
     assert covariance / np.outer(sd, sd) == pytest.approx(whole / np.outer(sd, sd), abs=1e-4)
     assert known.cost == pytest.approx(best.cost, rel=1e-6)
-    assert known.excess() < 0.1  # at its minimum, as far as the iteration went
+    assert known.excess() < 0.1  # at its minimum, within the iteration's tolerance
 
 
-def test_without_the_prior_it_is_the_prior_less(smoothed):
+def test_the_information_without_the_prior_is_the_difference(smoothed):
     chain, p = cut(smoothed), smoothed[1].fits[0].guess.p
-    told, prior = chain.information(p), chain.prior(p)
+    information, prior = chain.information(p), chain.prior(p)
     known = chain.known(p).marginalised(slice(CONSTANTS, None))
-    assert told.plus(prior).matrix == pytest.approx(known.matrix)
-    assert told.matrix[C.DAMPING, C.DAMPING] < known.matrix[C.DAMPING, C.DAMPING]
+    assert information.plus(prior).matrix == pytest.approx(known.matrix)
+    assert information.matrix[C.DAMPING, C.DAMPING] < known.matrix[C.DAMPING, C.DAMPING]
 
 
-def test_what_it_learns_besides_adds_to_it(smoothed):
+def test_further_knowledge_adds_to_the_information(smoothed):
     p = smoothed[1].fits[0].guess.p
     for kept in (60, 2):
         chain, twice = cut(smoothed, kept), cut(smoothed, kept)
@@ -68,7 +68,7 @@ def test_what_it_learns_besides_adds_to_it(smoothed):
         assert gained == pytest.approx(chain.information(p).matrix, rel=1e-6, abs=1e-6 * np.abs(gained).max())
 
 
-def test_a_chain_linearised_elsewhere_comes_to_the_same_when_it_is_renewed(smoothed, monkeypatch):
+def test_relinearisation_corrects_a_chain_linearised_elsewhere(smoothed, monkeypatch):
     finding = smoothed[1]
     guess = finding.fits[0].guess
     off = guess.p.copy()
@@ -90,7 +90,7 @@ def test_a_chain_linearised_elsewhere_comes_to_the_same_when_it_is_renewed(smoot
     assert covariances[0] == pytest.approx(covariances[1], abs=0.05)
 
 
-def test_a_segment_that_cannot_be_linearised_elsewhere_stays_as_it_is(smoothed, monkeypatch):
+def test_a_segment_that_cannot_be_relinearised_is_unchanged(smoothed, monkeypatch):
     p = smoothed[1].fits[0].guess.p.copy()
     p[C.SHAPE] += 3e-4
     chain = cut(smoothed)
@@ -113,8 +113,8 @@ def test_an_hour_needs_no_more_memory_than_two_minutes(smoothed):
     assert len(chain._segments) == 5
 
 
-@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "folded"])
-def test_another_belief_in_the_rig_is_as_if_it_had_been_held_from_the_beginning(smoothed, kept):
+@pytest.mark.parametrize("kept", [60, 2], ids=["kept", "marginalised"])
+def test_changing_the_rigs_prior_equals_using_it_from_the_beginning(smoothed, kept):
     search, finding = smoothed
     p = finding.fits[0].guess.p
     doubting = Search(
@@ -129,8 +129,8 @@ def test_another_belief_in_the_rig_is_as_if_it_had_been_held_from_the_beginning(
         assert one / of_these == pytest.approx(other / of_these, abs=1e-5)
 
 
-def test_a_constant_that_is_opened_goes_where_the_readings_are(smoothed):
-    """Damped by the one-sigma of before, when it was all but certain, it would stay where it is."""
+def test_a_constant_with_a_widened_prior_follows_the_readings(smoothed):
+    """Damped by its previous tiny one-sigma, it would not move."""
     search, finding = smoothed
     record, best = finding.record, finding.fits[0].guess
     chain = Chain(search.library, NOISE, search.prior)
@@ -145,12 +145,12 @@ def test_a_constant_that_is_opened_goes_where_the_readings_are(smoothed):
     posterior = later.posterior(fit)
     assert fit.settled
     sd = np.sqrt(posterior.covariance[turn, turn])
-    assert sd < np.radians(0.4), "the readings tell it"
+    assert sd < np.radians(0.4), "the readings determine it"
     assert fit.guess.p[turn] == pytest.approx(posterior.constants[turn], abs=0.2 * sd)
 
 
-def test_a_chain_settles_where_its_readings_are_when_another_belief_is_held(smoothed):
-    """From constants that are wrong: everything is linearised anew on the way."""
+def test_a_chain_converges_to_its_readings_after_a_change_of_the_prior(smoothed):
+    """From wrong constants: everything is relinearised on the way."""
     p = smoothed[1].fits[0].guess.p
     covariance = np.linalg.inv(cut(smoothed).known(p).matrix)[:CONSTANTS, :CONSTANTS]
     sd = np.sqrt(np.diagonal(covariance))

@@ -1,4 +1,4 @@
-"""What `model/fusion.c` computes against NumPy (`plain_shape_filters`): each routine, whole records, late events."""
+"""`model/fusion.c` against NumPy (`plain_shape_filters`): each routine, whole records, late events."""
 
 import math
 from dataclasses import replace
@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 
 
 def pair(rig, size, order=shape_map.HARMONICS):
-    """Two banks of the same filters about the same object, in C and in NumPy, and palms with three reports."""
+    """Two banks with the same filters of the same object, in C and in NumPy, and palms with three reports."""
     both = [ShapeFilters(rig, size, order=order), PlainShapeFilters(rig, size, order)]
     random = np.random.default_rng(5)
     off = 1e-4 * random.standard_normal(RIG_CONSTANTS)
@@ -56,7 +56,7 @@ def pair(rig, size, order=shape_map.HARMONICS):
 
 
 def same(filters, tolerance=ROUNDING):
-    """That both banks hold the same."""
+    """Check that both banks have the same state."""
     one, other = (each.bank for each in filters)
     assert one.size == other.size
     for name in ("x", "P", "score", "nis"):
@@ -65,24 +65,24 @@ def same(filters, tolerance=ROUNDING):
         np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * scale, err_msg=name)
 
 
-def reports(seed, told):
-    """Reports of palms, some late, twice, or after they had been forgotten; only some of them with the plan."""
+def reports(seed, plan_known):
+    """Reports of palms, some late, repeated or forgotten; some with the plan's rates."""
     random = np.random.default_rng(seed)
     t = 0.0
     for _ in range(60):
         t += random.choice([0.016, 0.016, 0.016, 0.0, -0.01, 0.1, 1.2 * FORGOTTEN_S])
         plan = tuple(map(tuple, random.standard_normal((2, 2))))
-        known = random.random() < {"always": 1.0, "often": 0.8, "never": 0.0}[told]
+        known = random.random() < {"always": 1.0, "often": 0.8, "never": 0.0}[plan_known]
         angles = (0.8 + 0.2 * math.sin(t), 1.6 + 0.1 * math.cos(2 * t))
         yield PalmSample(t, angles, *(plan if known else (None, None)))
 
 
-@pytest.mark.parametrize("told", ["always", "often", "never"])
-def test_the_palms_motion_is_the_twins(told):
+@pytest.mark.parametrize("plan_known", ["always", "often", "never"])
+def test_the_compiled_palm_motion_agrees_with_numpy(plan_known):
     compiled, twin = CompiledPalms(Routines(shape_map.library()), 2e-4), PalmTracker(2e-4)
     assert (compiled.known, compiled.t, compiled.repeated) == (twin.known, twin.t, twin.repeated)
-    for sample in reports(1, told):
-        compiled.feed(replace(sample, angles=list(sample.angles)))  # as it comes to another process
+    for sample in reports(1, plan_known):
+        compiled.feed(replace(sample, angles=list(sample.angles)))  # as in another process
         twin.feed(sample)
         assert compiled.t == twin.t
         assert compiled.repeated == pytest.approx(twin.repeated, rel=ROUNDING)
@@ -95,7 +95,7 @@ def test_the_palms_motion_is_the_twins(told):
 
 @pytest.mark.parametrize("kind", RIGS)
 @pytest.mark.parametrize(("size", "order"), [(16, shape_map.HARMONICS), (1, ORDER)])
-def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, order):
+def test_compiled_prediction_and_updates_agree_with_numpy(kind, size, order):
     filters, palms = pair(RIGS[kind], size, order)
     for pad, until, force in ((1, 0.034, 1.3), (2, 0.0345, 0.8), (2, 0.051, None), (1, 0.051, 1.2)):
         for each, tracked in zip(filters, palms, strict=True):
@@ -105,23 +105,23 @@ def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, orde
 
 
 @pytest.mark.parametrize("kind", RIGS)
-def test_what_comes_one_after_the_other_is_followed_as_the_twin_does(kind):
+def test_compiled_event_sequences_agree_with_numpy(kind):
     filters, palms = pair(RIGS[kind], 1, ORDER)
     events = [
         PadSample(0.034, 1, 0.021, 2.3),
         PadLift(0.0345, 2),
         PalmSample(0.046, (0.811, 1.597), (0.29, -0.09), (0.1, -2.1)),
         PadSample(0.0465, 1, 0.0213, None),  # beyond the pad's scale
-        PadSample(0.04, 2, 0.02, 0.9),  # of before what has been read
+        PadSample(0.04, 2, 0.02, 0.9),  # earlier than the last reading
         PadSample(0.052, 2, 0.0202, 1.1),
         PalmSample(0.062, (0.815, 1.595)),
         PadSample(0.0655, 1, 0.0214, 1.4),
     ]
-    told = []
+    results = []
     for each, tracked in zip(filters, palms, strict=True):
         each.rig_error.values[R.LAG : R.LAG + 2] = 2e-3, -1e-3
-        told.append(each.fuse_events(events, 0.03, tracked, np.array([1e-6, 2e-6])))
-    assert told[0] == told[1] == (pytest.approx(0.0635), 4)
+        results.append(each.fuse_events(events, 0.03, tracked, np.array([1e-6, 2e-6])))
+    assert results[0] == results[1] == (pytest.approx(0.0635), 4)
     same(filters, 1e-9)
     np.testing.assert_allclose(palms[0].at(0.07), palms[1].at(0.07), rtol=1e-10)
     assert filters[0].fuse_events([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2)) == (0.07, 0)
@@ -129,29 +129,29 @@ def test_what_comes_one_after_the_other_is_followed_as_the_twin_does(kind):
 
 @pytest.mark.parametrize("kind", RIGS)
 @pytest.mark.parametrize("left_by", ["nobody", "spread", "provisional_spread"])
-def test_named_values_and_their_variances_are_the_twins(kind, left_by):
+def test_compiled_published_values_and_variances_agree_with_numpy(kind, left_by):
     filters, palms = pair(RIGS[kind], 1, ORDER)
     random, shape = np.random.default_rng(2), (filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS)
     for steps in (1e-3 * random.standard_normal(shape), 1e-3 * random.standard_normal(shape)):
-        told = []
+        results = []
         for each, tracked in zip(filters, palms, strict=True):
             if left_by != "nobody":
                 setattr(each, left_by, steps)
-            told.append(each.named(0, 0.03, 0.009, tracked))
-        for got, wanted in zip(*told, strict=True):
+            results.append(each.named(0, 0.03, 0.009, tracked))
+        for got, wanted in zip(*results, strict=True):
             np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("kind", RIGS)
 @pytest.mark.parametrize("constant", [R.TILT, R.TURN, R.STANDOFF, R.STANDOFF + 1, R.SAGITTA, R.SAGITTA + 1])
-def test_what_a_constant_of_the_rig_leaves_open_is_what_it_changes(kind, constant):
-    """The variance that a step of a constant and of the state with it adds, by doing it."""
+def test_the_spread_of_a_rig_constant_equals_its_finite_difference(kind, constant):
+    """The variance from a step of a constant and of the state with it, against applying the step."""
     filters, palms = pair(RIGS[kind], 1, ORDER)
     each, tracked = filters[0], palms[0]
     n, random = each.bank.n, np.random.default_rng(3)
     step = np.zeros((n + RIG_CONSTANTS, 1))
     step[[Z.PSI, Z.LN_RHO], 0], step[n + constant, 0] = 1e-5 * random.standard_normal(2), 1e-5
-    each.spread, each.bank.P[:] = np.zeros_like(step), 0.0  # large ones would leave no digits to the difference
+    each.spread, each.bank.P[:] = np.zeros_like(step), 0.0  # large covariances would leave no digits for the difference
     _, least = each.named(0, 0.03, 0.0, tracked)
     found, at = [], each.bank.x[0].copy()
     for side in (1.0, -1.0):
@@ -173,7 +173,7 @@ def resting_circle(rig):
     return filters, palms
 
 
-def test_uncertain_angles_count_until_a_smoother_has_estimated_them():
+def test_angle_uncertainty_counts_until_a_smoother_has_estimated_it():
     filters, palms = resting_circle(replace(RIGS["flat"], angle_sd=2e-3, gravity_sd=3e-3))
     angles = [NAMED.index(name) for name in ("phi1", "phi2")]
     before = np.array(filters.named(0, 0.0, 0.001, palms)[1])[angles]
@@ -185,39 +185,39 @@ def test_uncertain_angles_count_until_a_smoother_has_estimated_them():
 
 @pytest.mark.parametrize("one_gauge", [True, False])
 @pytest.mark.parametrize("kind", RIGS)
-def test_by_how_much_rivals_disagree_is_the_twins(kind, one_gauge):
+def test_compiled_disagreement_of_hypotheses_agrees_with_numpy(kind, one_gauge):
     filters, palms = pair(RIGS[kind], 16)
-    told = []
+    results = []
     for each, tracked in zip(filters, palms, strict=True):
         fusion = Fusion(RIGS[kind], [each])
         fusion.filters, fusion.palms, fusion.t = each, tracked, 0.03
         score = each.bank.score
         score[:] = np.linspace(-PLAUSIBLE - 3.0, 0.0, len(score))
-        each.bank.x[3, Z.PSI] += 2.0 * math.tau - 0.2  # as turned as 0.2 the other way round, and no rival
+        each.bank.x[3, Z.PSI] += 2.0 * math.tau - 0.2  # equivalent to 0.2 in the other direction, and not a rival
         each.bank.x[12, Z.PSI] += math.tau + 0.2
-        told.append(fusion.disagreement(one_gauge))
-        score[:-1] = -PLAUSIBLE  # on the edge
+        results.append(fusion.disagreement(one_gauge))
+        score[:-1] = -PLAUSIBLE  # at the limit
         assert fusion.disagreement(one_gauge) is None
-    np.testing.assert_allclose(*told, rtol=1e-9, atol=1e-15)
-    psi = told[0][NAMED.index("psi")]
+    np.testing.assert_allclose(*results, rtol=1e-9, atol=1e-15)
+    psi = results[0][NAMED.index("psi")]
     assert 0.05 < psi < 0.5 if one_gauge else psi == 0.0
 
 
-def test_rounded_goals_add_to_the_variance_of_the_palms():
+def test_rounded_set_points_add_to_the_palms_variance():
     rounding = 1.5e-3
-    told = []
+    variances = []
     for rig in (RIGS["flat"], replace(RIGS["flat"], goal_rounding=rounding)):
         filters, palms = resting_circle(rig)
-        told.append(filters.named(0, 0.0, 0.001, palms)[1])
-    more = dict(zip(NAMED, np.subtract(told[1], told[0]), strict=True))
+        variances.append(filters.named(0, 0.0, 0.001, palms)[1])
+    more = dict(zip(NAMED, np.subtract(variances[1], variances[0]), strict=True))
     angle = rounding**2 / 12
     assert more["phi1"] == pytest.approx(angle)
-    assert more["phi2"] == pytest.approx(2 * angle)  # from palm to palm
+    assert more["phi2"] == pytest.approx(2 * angle)  # of both joints
     assert more["omega2"] == pytest.approx(2 * angle / ROUNDING_S**2)
     assert more["r1"] == 0.0
 
 
-def test_filters_forget_bit_for_bit_as_the_twins_do():
+def test_compiled_forgetting_is_identical_to_numpy():
     filters, _ = pair(RIGS["flat"], 16)
     random = np.random.default_rng(3)
     shape = filters[0].bank.x.shape
@@ -230,26 +230,26 @@ def test_filters_forget_bit_for_bit_as_the_twins_do():
         np.testing.assert_array_equal(getattr(filters[0].bank, name), getattr(filters[1].bank, name))
 
 
-def test_what_was_believed_is_of_the_last_start_and_of_each_filters_own_radius():
+def test_the_prior_is_that_of_the_last_start_and_each_filters_radius():
     (kept, _), (palms, _) = pair(RIGS["flat"], 16)
     for contacts in ((0.02, 0.021), (0.03, 0.031)):
         start = blind_start(contacts, palms.motion(0.0), 16, True, np.random.default_rng(1))
         kept.start(start, palms, 0.0)
         for radius in (0.02, np.linspace(0.01, 0.04, 16)):
             kept.bank.x[:, Z.SHAPE] = radius
-            told = kept.constants(start)
+            prior = kept.constants(start)
             ln_rho = math.log(GYRATION) + np.log(np.broadcast_to(radius, 16))
-            np.testing.assert_allclose(told.mean[:, Z.LN_RHO], ln_rho, rtol=1e-12)
-            assert np.all(told.mean[:, Z.SHAPE] == start.mean_radius)
-            np.testing.assert_array_equal(told.sd[Z.SHAPE :], start.shape_sd)
+            np.testing.assert_allclose(prior.mean[:, Z.LN_RHO], ln_rho, rtol=1e-12)
+            assert np.all(prior.mean[:, Z.SHAPE] == start.mean_radius)
+            np.testing.assert_array_equal(prior.sd[Z.SHAPE :], start.shape_sd)
 
 
-def test_hollow_outlines_are_bent_as_the_twins_are():
+def test_compiled_convexity_constraint_agrees_with_numpy():
     filters, _ = pair(RIGS["flat"], 16)
     for each in filters:
-        each.bank.x[3:9, Z.SHAPE + 6] = 0.02  # waves of which v is negative somewhere
-        each.bank.x[10, Z.SHAPE + 6] = 40.0  # by more than erfc can tell
-        each.bank.P[4] = 0.0  # one that can be told nothing
+        each.bank.x[3:9, Z.SHAPE + 6] = 0.02  # waves with negative v at some normals
+        each.bank.x[10, Z.SHAPE + 6] = 40.0  # beyond the range of erfc
+        each.bank.P[4] = 0.0  # exactly known, so that nothing can change
     below = [[each.bank.falls_below(member, each.curvature) for member in range(16)] for each in filters]
     assert below[0] == below[1]
     assert all(below[0][3:9])
@@ -263,7 +263,7 @@ def test_hollow_outlines_are_bent_as_the_twins_are():
 
 
 @pytest.mark.parametrize("lost", [[2, 9], list(range(16))])
-def test_filters_that_are_no_numbers_are_parked_as_the_twins_are(lost):
+def test_compiled_parking_of_nan_filters_agrees_with_numpy(lost):
     filters, palms = pair(RIGS["flat"], 16)
     for each, tracked in zip(filters, palms, strict=True):
         each.bank.x[lost, Z.PSI] = np.nan
@@ -274,7 +274,7 @@ def test_filters_that_are_no_numbers_are_parked_as_the_twins_are(lost):
     same(filters)
 
 
-def test_what_a_bank_is_told_wrongly_is_refused():
+def test_invalid_arguments_are_refused():
     filters, _ = pair(RIGS["flat"], 16)
     bank = filters[0].bank
     with pytest.raises(ValueError, match=r"\(16, 21\) at least, not \(8, 21\)"):
@@ -289,7 +289,7 @@ def test_what_a_bank_is_told_wrongly_is_refused():
 
 
 def shuffled(events, seed=4):
-    """As they would come over wires that hold some of them up: late, too late, twice; wild readings between them."""
+    """Events as delivered by delayed connections: late, too late, repeated, with outliers between them."""
     random = np.random.default_rng(seed)
     arrivals = []
     for event in events:
@@ -303,25 +303,25 @@ def shuffled(events, seed=4):
 
 
 def watched(filters, rig, events):
-    """What the observer says every 10 ms, and how many events it has dropped."""
-    watcher, told, tick = BankObserver(filters, rig), [], 0.0
+    """The observer's estimates every 10 ms, and the number of dropped events."""
+    watcher, estimates, tick = BankObserver(filters, rig), [], 0.0
     for event in events:
         while tick + 0.05 < event.t_sample:
             tick += 0.01
-            told.append(watcher.estimate(tick))
+            estimates.append(watcher.estimate(tick))
         watcher.feed(event)
-    return watcher, told
+    return watcher, estimates
 
 
 @pytest.mark.parametrize("seed", [101, 102])
-def test_of_a_whole_record_the_observer_says_the_same(seed):
+def test_estimates_of_a_whole_record_agree_with_numpy(seed):
     run = simulated("rig", seed, 4.0)
     events = shuffled(run.events)
     kinds = ShapeFilters, PlainShapeFilters
-    (one, told), (other, wanted) = (watched(kind(run.rig, 32), run.rig, events) for kind in kinds)
+    (one, compiled_estimates), (other, wanted) = (watched(kind(run.rig, 32), run.rig, events) for kind in kinds)
     assert one.late_dropped == other.late_dropped > 10
     assert one.object_count == other.object_count
-    for a, b in zip(told, wanted, strict=True):
+    for a, b in zip(compiled_estimates, wanted, strict=True):
         assert (a.valid, a.object_count) == (b.valid, b.object_count)
         for name in ("r1", "r2", "omega0", "rho", "mu", "nis", "mass"):
             x, y = getattr(a, name), getattr(b, name)
@@ -329,7 +329,7 @@ def test_of_a_whole_record_the_observer_says_the_same(seed):
         assert a.sd["r1"] == pytest.approx(b.sd["r1"], rel=1e-6, nan_ok=True)
 
 
-def test_readings_of_resting_palms_weigh_less_unless_they_surprise():
+def test_readings_of_resting_palms_weigh_less_while_they_are_predicted():
     run = simulated("rig", 101, 2.5, rests=((0.8, 2.5),))
     both = [BankObserver(kind(run.rig, 8), run.rig) for kind in (ShapeFilters, PlainShapeFilters)]
     for event in run.events:
@@ -337,15 +337,15 @@ def test_readings_of_resting_palms_weigh_less_unless_they_surprise():
             watcher.feed(event)
     compiled, twin = (watcher._fusion for watcher in both)
     shared = compiled.history.now.repeated
-    assert shared == pytest.approx(twin.palms.repeated, abs=0.02), "but for the last report of the palms"
+    assert shared == pytest.approx(twin.palms.repeated, abs=0.02), "except for the palms' last report"
     assert shared > 1.5
     same([compiled.filters, twin.filters], 1e-6)
     compiled.bank.nis[:] = 2.0
     compiled.add(PadSample(compiled.t + 0.005, 1, 0.02, 1.0))
-    assert compiled.history.now.repeated == 1.0, "the object has been moved"
+    assert compiled.history.now.repeated == 1.0, "the object was moved"
 
 
-def test_late_events_leave_what_they_would_have_left_on_time():
+def test_late_events_give_the_same_result_as_on_time():
     run = simulated("rig", 103, 1.0)
     last = max(i for i, event in enumerate(run.events) if isinstance(event, PalmSample) and event.t_sample < 0.9)
     after = [event for event in run.events[last:] if isinstance(event, PadSample)][:12]
@@ -364,7 +364,7 @@ def test_late_events_leave_what_they_would_have_left_on_time():
             np.testing.assert_array_equal(got, wanted)
 
 
-def test_only_so_many_events_can_be_undone():
+def test_the_number_of_events_that_can_be_undone_is_limited():
     run = simulated("rig", 103, 1.0)
     pads = [event for event in run.events if isinstance(event, PadSample)]
     for back, dropped in ((EVENTS, 0), (EVENTS + 1, 1)):
@@ -376,7 +376,7 @@ def test_only_so_many_events_can_be_undone():
         assert watcher.late_dropped == dropped
 
 
-def test_a_wild_reading_counts_as_one_at_the_gate():
+def test_an_outlier_counts_in_the_nis_as_one_at_the_gate():
     filters, palms = pair(RIGS["flat"], 8)
     for each, tracked in zip(filters, palms, strict=True):
         each.fuse_pad(PadSample(0.03, 1, 0.5, 1.0), 1e-12, tracked, 1.0)

@@ -1,4 +1,4 @@
-"""What a rig is not: named when readings contradict it, estimated from then on, and never named without cause."""
+"""Criticism of the rig: contradicted constants are named and estimated, and others are not."""
 
 import math
 from dataclasses import replace
@@ -35,7 +35,7 @@ EXACT = np.full(RIG_CONSTANTS, 1e-7)
 
 
 class Linear:
-    """Readings of the rig's constants through a random mixture of them, and what a prior makes of such readings."""
+    """Readings of a random linear mixture of the rig's constants, and their posterior for a prior."""
 
     def __init__(self, seed: int, readings: int = 60) -> None:
         self.random = np.random.default_rng(seed)
@@ -48,7 +48,7 @@ class Linear:
 
 
 @pytest.mark.parametrize("sd", [CALIBRATED, EXACT], ids=["calibrated", "exact"])
-def test_a_rig_drawn_from_its_prior_contradicts_it_hardly_ever(sd):
+def test_a_rig_drawn_from_its_prior_is_rarely_contradicted(sd):
     linear = Linear(1)
     named = 0
     for _ in range(300):
@@ -57,8 +57,8 @@ def test_a_rig_drawn_from_its_prior_contradicts_it_hardly_ever(sd):
     assert named <= 3
 
 
-def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
-    """By the densities of the readings themselves, of all sets of causes in which zeros are off."""
+def test_the_odds_are_the_ratio_of_the_readings_densities():
+    """By the readings' densities under all sets of causes that consist of zeros."""
     linear = Linear(4, readings=20)
     sd = np.where(np.arange(RIG_CONSTANTS) < 2, EXACT, 30 * CALIBRATED)  # only zeros can be contradicted
     true = np.where(np.arange(RIG_CONSTANTS) == 0, 2.0 * CALIBRATED, 0.0)
@@ -85,8 +85,8 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     assert found.log_odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(CAUSE_SIZES)), abs=1e-3)
 
 
-def test_doubt_is_in_the_answer_before_anything_is_named():
-    """Of readings that tell each constant to a third of what calibration leaves; the first is z of that from 0."""
+def test_the_covariance_includes_doubt_before_a_constant_is_contradicted():
+    """The readings determine each constant to a third of its calibration sd; the first is z of these from 0."""
     precision = (3.0 / CALIBRATED) ** 2 + EXACT**-2.0
 
     def found(z):
@@ -104,19 +104,19 @@ def test_doubt_is_in_the_answer_before_anything_is_named():
 
 @pytest.mark.parametrize("off", [1.4, 1.8, 2.2])
 @pytest.mark.parametrize("known", [0.001, 0.5, 1.0], ids=["all but exactly", "to half", "as calibrated"])
-def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
-    """Against the mixture's second moments about what is believed: of a zero, and of what readings tell with it."""
+def test_a_doubtful_answer_has_the_moments_of_the_mixture_of_explanations(known, off):
+    """Against the mixture's second moments about the estimate, of a zero and of a correlated quantity."""
     sd = np.where(
         np.arange(RIG_CONSTANTS) == 0, known * CALIBRATION_SD, 30 * CALIBRATED
     )  # only the first zero can be contradicted
-    scale = np.concatenate([np.ones(C.RIG), CALIBRATED, [1.0]])  # constants before the rig's, the rig's, something else
+    scale = np.concatenate([np.ones(C.RIG), CALIBRATED, [1.0]])  # before the rig's constants, the rig's, after them
     readings = np.zeros((2, len(scale)))
     readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]
     readings /= scale
     heard = readings[:, C.RIG] * off * CALIBRATION_SD[0] + np.array([0.3, -0.4])
 
     def posterior(prior):
-        """Mean, covariance and log evidence where the rig's constants are known to `prior`."""
+        """Mean, covariance and log evidence if the rig's constants are known to `prior`."""
         before = np.concatenate([np.ones(C.RIG), prior, [3.0]]) ** 2
         S = np.eye(2) + (readings * before) @ readings.T
         gain = (readings * before).T @ np.linalg.inv(S)
@@ -138,7 +138,7 @@ def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
     assert found.log_odds == pytest.approx(
         np.logaddexp.reduce(gains) + LN_PRIOR_NAMED - math.log(len(CAUSE_SIZES)), abs=1e-6
     )
-    declared = known < 1.0  # better than calibration leaves it, where more is in doubt
+    declared = known < 1.0  # known better than by calibration, so that more is in doubt
     often = [PRIOR_DOUBTED / times if declared else math.exp(LN_PRIOR_NAMED) / len(CAUSE_SIZES) for times, *_ in each]
     weights = np.exp([0.0, *(gains + np.log(often))])
     weights /= weights.sum()
@@ -155,7 +155,7 @@ def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
 
 @pytest.mark.parametrize("sd", [CALIBRATED, EXACT], ids=["calibrated", "exact"])
 @pytest.mark.parametrize("wrong", range(R.KAPPA), ids=RIG_NAMES[: R.KAPPA])
-def test_the_one_that_is_off_is_named_alone(sd, wrong):
+def test_only_the_wrong_constant_is_contradicted(sd, wrong):
     linear = Linear(100 + wrong)
     true = linear.random.standard_normal(RIG_CONSTANTS) * sd
     true[wrong] += 9.0 * CALIBRATED[wrong]
@@ -164,8 +164,8 @@ def test_the_one_that_is_off_is_named_alone(sd, wrong):
     assert found[wrong] > 0.0
 
 
-def test_both_zeros_that_are_off_alike_are_one_cause():
-    """Readings that tell each to a third of what calibration leaves are enough; of unlike ones they are not."""
+def test_equal_errors_of_both_zeros_are_one_cause():
+    """Readings that determine each to a third of its calibration sd are sufficient for equal errors only."""
     precision = (3.0 / CALIBRATED) ** 2 + EXACT**-2.0
 
     def found(one, other):
@@ -179,7 +179,7 @@ def test_both_zeros_that_are_off_alike_are_one_cause():
     assert not found(1.0, -1.0).contradicted.any()
 
 
-def test_a_zero_that_no_reading_tells_is_not_named_with_the_other():
+def test_a_zero_without_readings_is_not_contradicted_with_the_other():
     covariance, values = np.diag(CALIBRATED**2), np.zeros(RIG_CONSTANTS)
     covariance[R.ZERO, R.ZERO] /= 10.0
     values[R.ZERO] = 5.0 * CALIBRATED[R.ZERO]
@@ -187,14 +187,14 @@ def test_a_zero_that_no_reading_tells_is_not_named_with_the_other():
     assert np.flatnonzero(found).tolist() == [R.ZERO]
 
 
-def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_off():
-    """Constants of which readings tell the sum, and the first of them by itself or not; likelier is then 2 to 1."""
+def test_a_clearly_likeliest_constant_is_named_alone_otherwise_all_candidates():
+    """Readings determine the constants' sum and possibly the first by itself; the odds for that are then 2 to 1."""
 
     def found(where, by_itself):
-        told = 36.0 * np.ones((len(where), len(where)))
-        told[0, 0] += by_itself**2
+        information = 36.0 * np.ones((len(where), len(where)))
+        information[0, 0] += by_itself**2
         M, off = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)), np.zeros(RIG_CONSTANTS)
-        M[np.ix_(where, where)] = told / np.outer(CALIBRATION_SD[where], CALIBRATION_SD[where])
+        M[np.ix_(where, where)] = information / np.outer(CALIBRATION_SD[where], CALIBRATION_SD[where])
         off[where[0]] = CALIBRATION_SD[where[0]]
         covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
         return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
@@ -203,7 +203,7 @@ def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_of
     assert found([R.STANDOFF, R.TURN], 1.2) == [R.STANDOFF]
 
 
-def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree():
+def test_free_constants_are_not_contradicted_and_both_parameterisations_agree():
     linear = Linear(3)
     true = np.zeros(RIG_CONSTANTS)
     true[[R.ZERO, R.TURN]] = 8.0 * CALIBRATED[[R.ZERO, R.TURN]]
@@ -214,14 +214,14 @@ def test_what_is_free_already_contradicts_nothing_and_both_ways_of_asking_agree(
 
 
 def off_by(run: Run, zero_m: float) -> list[PadSample | PalmSample]:
-    """The run's events as a rig tells them whose pad 1 has another zero than is believed."""
+    """The run's events on a rig whose pad 1 has a zero error of `zero_m`."""
     return [
         replace(event, s=event.s + zero_m) if isinstance(event, PadSample) and event.pad == 1 else event
         for event in run.events
     ]
 
 
-def test_a_zero_that_is_off_is_named_and_no_longer_moves_the_outline():
+def test_a_zero_error_is_named_and_does_not_bias_the_outline():
     run = simulated("friction", 42, 20.0)
     answer = reconstruct(off_by(run, 3e-4), run.rig)
     assert answer.converged, answer.reason
@@ -230,8 +230,8 @@ def test_a_zero_that_is_off_is_named_and_no_longer_moves_the_outline():
     assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 4e-5
 
 
-def test_a_rig_far_from_what_it_is_taken_for_is_found_all_the_same():
-    """Nothing explains these readings on the rig as it is told to be."""
+def test_a_large_error_of_the_rig_is_found():
+    """Nothing explains these readings with the rig as described."""
     run = simulated("friction", 41, 12.0)
     events = palms_changed(
         run.events, lambda event: replace(event, angles=(event.angles[0], event.angles[1] - math.radians(1)))
@@ -243,14 +243,14 @@ def test_a_rig_far_from_what_it_is_taken_for_is_found_all_the_same():
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 1), ("friction", 43), ("rig", 2)])
-def test_nothing_is_named_on_a_rig_that_is_as_told(kind, seed):
+def test_a_correctly_described_rig_is_not_contradicted(kind, seed):
     run = simulated(kind, seed, 10.0)
     for rig in (run.rig, run.rig.known_to(AS_CALIBRATED)):
         assert not reconstruct(run.events, rig).contradicted.any()
 
 
-def test_a_smoother_beside_the_loop_names_it_too_and_mends_what_it_knew():
-    """The contradiction shows when much has been felt: all of that is seen anew, with what is known now."""
+def test_the_live_smoother_names_the_error_and_relinearises():
+    """The contradiction appears after much contact; all earlier readings are then relinearised."""
     run = simulated("friction", 41, 16.0)
     smoother, events = IncrementalSmoother(run.rig), off_by(run, 3e-4)
     answers, fed = [], 0
@@ -259,18 +259,18 @@ def test_a_smoother_beside_the_loop_names_it_too_and_mends_what_it_knew():
         smoother.add(Session(1, 0.0), events[fed:until])
         fed = until
         answers.append(smoother.answer())
-    told = [answer for answer in answers if answer is not None]
-    named = [answer for answer in told if answer.contradicted.any()]
+    given = [answer for answer in answers if answer is not None]
+    named = [answer for answer in given if answer.contradicted.any()]
     assert named, "never contradicted"
-    # at first it may be the scales instead; in the end it can be nothing else
+    # at first the scales may be named; at the end only the zero is possible
     assert all(answer.contradicted[R.ZERO] > 3.0 for answer in named)
-    assert [RIG_NAMES[i] for i in np.flatnonzero(told[-1].contradicted)] == ["pad1_zero_m"]
-    assert told[-1].established
-    assert abs(told[-1].rig[R.ZERO] - 3e-4) < 3 * told[-1].rig_sd[R.ZERO] < 2e-4
+    assert [RIG_NAMES[i] for i in np.flatnonzero(given[-1].contradicted)] == ["pad1_zero_m"]
+    assert given[-1].established
+    assert abs(given[-1].rig[R.ZERO] - 3e-4) < 3 * given[-1].rig_sd[R.ZERO] < 2e-4
 
 
-def test_what_is_all_but_certain_is_not_judged_by_where_the_iteration_ended():
-    """A tenth of a micrometre is worth no iteration, and yet 10 sigmas of what readings say of such a constant."""
+def test_criticism_of_almost_exact_constants_ignores_the_iterations_residual():
+    """0.1 µm is below the iteration's tolerance, but 10 sigmas for such a constant."""
     run = simulated("friction", 42, 4.0)
     (segment,) = data_segments(run.events)
     search = Search(segment, run.rig)

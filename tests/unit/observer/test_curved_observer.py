@@ -1,4 +1,4 @@
-"""Logs of curved palms from a blind start: right within its error bars, or refused in words."""
+"""Curved palms from a blind start: accurate within the error bars, or rejected with the reason."""
 
 import json
 import math
@@ -31,7 +31,7 @@ from palmd.system.description import PadSensor, RigDescription
 from tools.studies.simulate_curved import simulate_curved_log
 
 SECONDS = 6.0
-reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # its name is its function's too
+reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # the package has a function of the same name
 ENOUGH_S = 4.0
 
 
@@ -44,7 +44,7 @@ def cradle(tmp_path_factory):
     return path, read_log(path), truth
 
 
-def test_a_cradles_log_is_reconstructed_blind(cradle):
+def test_a_log_of_a_cradle_is_reconstructed_from_a_blind_start(cradle):
     _, log, truth = cradle
     answer = reconstruct(log.events, log.rig)
     assert answer.converged, answer.reason
@@ -54,10 +54,10 @@ def test_a_cradles_log_is_reconstructed_blind(cradle):
     assert abs(answer.mass / truth["mass_kg"] - 1) < 0.02
     assert abs(answer.rho - truth["rho_m"]) < 4 * answer.rho_sd
     r1 = np.interp(answer.t, truth["t"], truth["r1_m"])
-    assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1e-4, "read at the tangents' normals"
+    assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1e-4, "evaluated at the tangents' normals"
 
 
-def test_taken_for_flat_it_is_not_claimed(cradle):
+def test_with_flat_palms_assumed_it_is_not_accepted(cradle):
     _, log, _ = cradle
     flat = replace(log.rig, pads=tuple(replace(pad, curvature=0.0) for pad in log.rig.pads))
     few = [event for event in log.events if event.t_sample < ENOUGH_S]
@@ -66,12 +66,12 @@ def test_taken_for_flat_it_is_not_claimed(cradle):
 
 
 @pytest.mark.parametrize("as_described", [True, False])
-def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatch, as_described):
-    """Dome 2042 of `python -m tools.studies curved`: a worse minimum that a contradicted rig made fit was claimed."""
+def test_a_fit_that_contradicts_the_rig_is_searched_for_again(cradle, monkeypatch, as_described):
+    """Dome 2042 of `python -m tools.studies curved`: a worse minimum with a contradicted rig was accepted."""
     _, log, _ = cradle
     refined, blind, searches = reconstruct_module._refined, Search.blind, []
 
-    def told(*args):
+    def refined_as(*args):
         found = refined(*args)
         return replace(found, as_described=found.as_described and as_described)
 
@@ -79,14 +79,14 @@ def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatc
         searches.append(args)
         return blind(*args)
 
-    monkeypatch.setattr(reconstruct_module, "_refined", told)
+    monkeypatch.setattr(reconstruct_module, "_refined", refined_as)
     monkeypatch.setattr(Search, "blind", counted)
     answer = reconstruct(log.events, log.rig)
     assert answer.converged
     assert (len(searches) > 1) == (not as_described)
 
 
-def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_says_why(cradle):
+def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cradle):
     _, log, _ = cradle
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
@@ -94,8 +94,8 @@ def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_say
     assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason)
 
 
-def test_an_object_that_would_lie_in_its_palm_is_refused_in_words(cradle, monkeypatch):
-    """What one touches at one place at a time is never as flat as the palm: only the judgement is tried."""
+def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle, monkeypatch):
+    """An object with single contacts never has this curvature, so only the test of the limit is exercised."""
     _, log, _ = cradle
     monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
     answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
@@ -103,7 +103,7 @@ def test_an_object_that_would_lie_in_its_palm_is_refused_in_words(cradle, monkey
     assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason)
 
 
-def test_live_it_settles_on_what_is_there(cradle):
+def test_the_live_observer_converges_to_the_truth(cradle):
     _, log, truth = cradle
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
     ticks = list(replay(log, watcher))
@@ -114,41 +114,41 @@ def test_live_it_settles_on_what_is_there(cradle):
     off = [tick.estimate.r1 - np.interp(tick.t, t, r1) for tick in ticks if tick.estimate.valid and tick.t > 4.0]
     assert np.sqrt(np.mean(np.square(off))) < 1e-4
     drawn = next(tick.shape for tick in reversed(ticks) if tick.shape is not None)
-    told = {"theta_rad": drawn.theta, "h_m": drawn.h, "touched": drawn.touched}
-    assert score_shape(told, truth["h_m"], all_normals=False).e_h < 1e-4
+    result = {"theta_rad": drawn.theta, "h_m": drawn.h, "touched": drawn.touched}
+    assert score_shape(result, truth["h_m"], all_normals=False).e_h < 1e-4
 
 
 @pytest.mark.parametrize("stored", [True, False])
-def test_a_stored_outline_is_recognised_on_a_cradle_and_another_is_none(stored, tmp_path):
+def test_a_stored_outline_is_recognised_on_a_cradle_and_others_are_not(stored, tmp_path):
     bodies, outlines = library("friction", 22, 8)
     lines, truth = simulate_curved_log("cfriction", 22, 4.0, body=bodies[6])
     path = tmp_path / "run.jsonl"
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     log = read_log(path)
     known = outlines if stored else [each for each in outlines if each is not outlines[6]]
-    recogniser, told, off = observer.make("shape", log.rig, outlines=known), [], []
+    recogniser, identifications, off = observer.make("shape", log.rig, outlines=known), [], []
     for tick in replay(log, recogniser):
-        told.append(recogniser.identify(tick.t))
+        identifications.append(recogniser.identify(tick.t))
         if tick.estimate.valid:
-            assert told[-1].best, "nothing is valid while it is undecided"
+            assert identifications[-1].best, "no estimate is valid before the decision"
             off.append(tick.estimate.r1 - np.interp(tick.t, truth["t"], truth["r1_m"]))
-    found = verdict(each for each in told if each is not None)
+    found = verdict(each for each in identifications if each is not None)
     assert found.decision == (outlines[6].name if stored else NONE_OF_THESE)
     assert bool(off) is stored
     assert not stored or np.sqrt(np.mean(np.square(off))) < 1e-4
 
 
 @pytest.mark.parametrize("name", ["extended", "quasistatic"])
-def test_observers_of_flat_palms_say_so(cradle, tmp_path, capsys, name):
+def test_observers_for_flat_palms_refuse_curved_ones(cradle, tmp_path, capsys, name):
     path, log, _ = cradle
     assert main(["estimate", str(path), "-o", str(tmp_path / "out"), "--observer", name]) == 1
-    told = capsys.readouterr().err
-    assert f"the observer {name} supports flat palms only" in told
+    message = capsys.readouterr().err
+    assert f"the observer {name} supports flat palms only" in message
     with pytest.raises(ValueError, match="supports flat palms only"):
         observer.make(name, log.rig)
 
 
-def test_what_is_touched_is_told_by_the_tangents():
+def test_coverage_uses_the_contact_tangents():
     curvatures = (14.0, -9.0)
     h = np.zeros(shape.COEFFICIENTS)
     h[0] = 0.02
@@ -166,14 +166,14 @@ def test_what_is_touched_is_told_by_the_tangents():
     assert set(np.flatnonzero(coverage.marks)) == set(wanted)
 
 
-def test_what_lies_in_a_palm_is_known_by_its_radius_of_curvature():
+def test_most_lying_is_the_largest_ratio_of_curvatures():
     h = np.zeros(25)
     h[0], h[3] = 0.02, -0.001  # v = a0 − 3 a2 cos 2θ
     assert most_lying(h, [np.array([[0.0, math.pi / 2]])], (40.0, 0.0)) == pytest.approx(40 * 0.023)
     assert most_lying(h, [np.array([[0.0, math.pi / 2]])], (0.0, 0.0)) == 0.0
 
 
-def test_what_a_standoff_moves_of_a_reading_on_an_arc():
+def test_the_standoff_correction_of_readings_on_an_arc():
     curvatures = (14.0, 11.0)
     rig = RigDescription(pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))
     h, off = np.zeros(shape.COEFFICIENTS), 2e-4
@@ -185,6 +185,6 @@ def test_what_a_standoff_moves_of_a_reading_on_an_arc():
     there = contacts_on_arcs(h, *palms, np.zeros(1), curvatures)[:, 0]
     error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
     error.values[[R.STANDOFF, R.STANDOFF + 1]] = off
-    for _ in range(2):  # each learns where the other is
+    for _ in range(2):  # each correction uses the other pad's place
         on_time = [corrected(error, PadSample(0.0, pad, there[pad - 1]), joints[1], 0.02) for pad in (1, 2)]
     assert on_time == pytest.approx(on_the_line, abs=0.05 * abs(there - on_the_line).max())

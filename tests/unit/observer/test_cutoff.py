@@ -1,4 +1,4 @@
-"""A Gaussian belief that is told an inequality, against the cut-off normal distribution itself."""
+"""A Gaussian belief with an inequality constraint, against the truncated normal distribution."""
 
 import numpy as np
 import pytest
@@ -10,18 +10,18 @@ P0 = np.array([[4.0, 1.2, 0.3], [1.2, 2.0, -0.5], [0.3, -0.5, 1.0]])
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.7, 5.0, 19.9, 20.1, 35.0])
-def test_what_is_told_has_the_moments_of_the_cut_off_distribution(depth):
+def test_the_constrained_belief_has_the_moments_of_the_truncated_distribution(depth):
     row = np.array([1.0, -0.4, 0.7])
     sd = np.sqrt(row @ P0 @ row)
     x, P = np.array([0.0, 0.2, -1.0]), P0.copy()
     x -= row * (row @ x + depth * sd) / (row @ row)
     assert cut_off(x, P, row)
-    told = truncnorm(depth, np.inf, loc=-depth * sd, scale=sd)
-    assert row @ x == pytest.approx(told.mean(), rel=1e-4)  # beyond 20 sd by a series
-    assert row @ P @ row == pytest.approx(told.var(), rel=1e-6 if depth < 6.0 else 0.03)  # a small difference far out
+    truncated = truncnorm(depth, np.inf, loc=-depth * sd, scale=sd)
+    assert row @ x == pytest.approx(truncated.mean(), rel=1e-4)  # a series beyond 20 sd
+    assert row @ P @ row == pytest.approx(truncated.var(), rel=1e-6 if depth < 6.0 else 0.03)  # rounding
 
 
-def test_what_goes_with_it_moves_along_and_what_does_not_stays():
+def test_correlated_components_move_and_independent_ones_stay():
     row, x, P = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 2.0, 3.0]), P0.copy()
     P[2, :2] = P[:2, 2] = 0.0
     free = P[2, 2]
@@ -33,7 +33,7 @@ def test_what_goes_with_it_moves_along_and_what_does_not_stays():
     assert np.linalg.eigvalsh(P).min() > 0.0
 
 
-def test_what_is_known_exactly_is_told_nothing():
+def test_an_exactly_known_component_is_unchanged():
     row, x, P = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0]), P0.copy()
     P[2] = P[:, 2] = 0.0
     before = P.copy()

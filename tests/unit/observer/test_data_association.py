@@ -1,4 +1,4 @@
-"""Rides are given their places on an outline, and only those that no rival has elsewhere are sure."""
+"""Contact-mode segments are associated with sides and corners of an outline, and unambiguous ones are certain."""
 
 import math
 from dataclasses import replace
@@ -20,18 +20,18 @@ from palmd.observer.rounded_polygon import (
     turned,
 )
 
-# Of five corners: side and corner opposite, one after the other, each led to by a tip or a stay; on which palm.
+# Tour on five corners: side, opposite corner and palm, each reached by a tip or a stay.
 TOUR = [(0, 4, 0), (0, 3, 0), (3, 0, 1), (3, 1, 1), (1, 4, 0), (1, 0, 0), (4, 1, 1), (4, 2, 1), (2, 0, 0), (2, 1, 0)]
 
 
 def pentagon():
-    """Not a regular one."""
+    """An irregular pentagon."""
     p = regular(5, 15e-3, 2e-3)
     return p + 1e-3 * np.random.default_rng(5).normal(size=len(p)) * np.repeat([1.0, 1.0, 0.1], 5)
 
 
-def told(p, tour):
-    """Seats as rides would tell them, the openings in the middle of what the corner allows."""
+def mode_estimates(p, tour):
+    """Mode estimates of segments, with openings in the middle of the corner's range."""
     found, t = [], 0.0
     normals, count = side_normals(p), len(p) // 3
     for i, (side, corner, palm) in enumerate(tour):
@@ -42,16 +42,16 @@ def told(p, tour):
         t = start + 2.0
         value = mode_parameters(p, np.array([side]), np.array([corner]), [palm])[0]
         value = value + 1e-5 * np.random.default_rng(i).normal(size=4)
-        ride = ModeSegment(palm, start, t, value[:2], 1e-10 * np.eye(2), excludes_disc=True)
+        segment = ModeSegment(palm, start, t, value[:2], 1e-10 * np.eye(2), excludes_disc=True)
         opening = np.array([[middle - 0.1, 0.0, 0.0], [middle + 0.1, 0.0, 0.0]])
         two = np.zeros(2)
         carried = SupportFrame(np.zeros((2, 2)), two, two, opening)
-        lying = SegmentReadings(ride, two, two, two, np.array([True, False]), carried)
+        lying = SegmentReadings(segment, two, two, two, np.array([True, False]), carried)
         found.append(ModeEstimate(value, np.diag(1.0 / np.array([3e-5, 5e-5, 1.5e-4, 1e-4])), lying))
     return found
 
 
-def test_a_side_is_where_both_corners_reach_as_far_and_a_corner_where_it_is_felt():
+def test_a_sides_two_corners_have_equal_height_and_support_matches_its_rows():
     p = pentagon()
     (centres, radii), normals = discs(p), side_normals(p)
     for side in range(5):
@@ -66,17 +66,19 @@ def test_a_side_is_where_both_corners_reach_as_far_and_a_corner_where_it_is_felt
     assert support(turned(p, 0.3), theta + 0.3)[0] == pytest.approx(h)
 
 
-def test_normals_that_are_not_the_corners_are_missed_by_as_much():
+def test_normal_violation_is_the_distance_to_the_corners_range():
     p, openings = regular(4, 10e-3, 1e-3), np.array([[0.6 * math.pi, 0.7 * math.pi]])
     side, palm = np.array([0]), np.array([0])
-    assert not normal_violation(p, side, np.array([0]), palm, openings).any()  # 54 to 72° from the side: its own end
+    assert not normal_violation(
+        p, side, np.array([0]), palm, openings
+    ).any()  # 54 to 72° from the side: within its range
     assert np.abs(normal_violation(p, side, np.array([3]), palm, openings)).max() == pytest.approx(0.2 * math.pi)
 
 
-def test_all_rides_are_given_their_places_and_the_number_of_corners_is_found(monkeypatch):
-    monkeypatch.setattr(data_association, "CORNERS", (4, 5, 6))  # others take their time
+def test_all_segments_are_associated_and_the_number_of_corners_is_found(monkeypatch):
+    monkeypatch.setattr(data_association, "CORNERS", (4, 5, 6))  # others take long
     p = pentagon()
-    rivals = associated(told(p, TOUR), 30.0)
+    rivals = associated(mode_estimates(p, TOUR), 30.0)
     best = rivals[0]
     assert best.count == 5
     assert best.used.all()
@@ -87,14 +89,14 @@ def test_all_rides_are_given_their_places_and_the_number_of_corners_is_found(mon
     assert certain(rivals, np.full(len(TOUR), 2.0)).all()
 
 
-def test_what_is_of_no_outline_is_left_out():
-    found = told(pentagon(), TOUR)
+def test_a_segment_that_fits_no_outline_is_left_out():
+    found = mode_estimates(pentagon(), TOUR)
     wrong = replace(found[4], value=found[4].value + np.array([3e-3, 0.0, 0.0, 2e-3]))
     best = AssociationSearch([*found[:4], wrong, *found[5:]], 5).best(math.inf)[0]
     assert np.flatnonzero(best.used == 0).tolist() == [4]
 
 
-def test_what_a_rival_has_elsewhere_is_not_certain():
+def test_an_association_that_a_rival_contradicts_is_not_certain():
     p = pentagon()
     sides, corners, ones = (np.array(each) for each in ([0, 0, 3, 1], [4, 3, 0, 3], [1, 1, 1, 1]))
     best = Association(p, sides, corners, ones, 10.0)
@@ -102,5 +104,5 @@ def test_what_a_rival_has_elsewhere_is_not_certain():
     assert certain([best, other], np.array([3.0, 3.0, 2.0, 2.0])).tolist() == [1, 1, 1, 0]
     assert certain([best, replace(other, used=np.array([1, 1, 1, 0]))], np.full(4, 2.0)).all()
     assert certain([best, replace(best, corners=np.array([4, 3, 1, 3]))], np.full(4, 2.0)).tolist() == [1, 1, 0, 1]
-    unused = replace(best, used=np.array([0, 0, 1, 1]))  # of none of which the side is that of the longest
+    unused = replace(best, used=np.array([0, 0, 1, 1]))  # none of its segments has the side of the longest
     assert not certain([best, unused], np.array([3.0, 3.0, 2.0, 2.0])).any()

@@ -1,4 +1,4 @@
-"""What sticks to one palm and slips along the other: the model against the emulated plant, and a blind start."""
+"""An object that sticks to one palm and slips on the other: the model against the plant, and blind reconstruction."""
 
 import math
 import time
@@ -55,8 +55,8 @@ def dry():
     return simulated(SharpTask("dry lump", 9000, 8.0))[:2]
 
 
-def test_the_model_is_that_of_the_emulated_plant():
-    """What rolling keeps, which way it slips and how fast, both forces, and the friction of what sticks."""
+def test_the_model_agrees_with_the_emulated_plant():
+    """The rolling invariants, direction and speed of slip, both forces, and the friction of the sticking contact."""
     body = random_body("friction", np.random.default_rng(3))
     plant = DryPlant(body, Hinge("fixed", base=(0.0, 0.0)), DRY)
     plant.place(ROCKING.at(0.0), stable_poses(body, ROCKING.at(0.0))[0])
@@ -85,11 +85,11 @@ def test_the_model_is_that_of_the_emulated_plant():
         ax, ay, alpha, *forces = plant._rates
         h, slope = ([float(rows[0] @ outline) for rows in each] for each in (lying.h, lying.slope))
         ratio, pull = np.array([math.copysign(DRY.mu, slip)]), (np.array([ax]), np.array([ay + 9.81]))
-        told = normal_forces(
+        modelled = normal_forces(
             np.array([stuck]), ratio, at, tuple(h), tuple(slope), pull, np.array([body.rho**2 * alpha])
         )
-        assert np.ravel(told) == pytest.approx(forces, rel=1e-3)
-        asked = friction_asked(np.array([stuck]), ratio, at, pull, told)
+        assert np.ravel(modelled) == pytest.approx(forces, rel=1e-3)
+        asked = friction_asked(np.array([stuck]), ratio, at, pull, modelled)
         assert asked[0] == pytest.approx(plant._ratios[stuck], abs=1e-3)
     assert met == 3
     for each in kept.values():
@@ -97,7 +97,7 @@ def test_the_model_is_that_of_the_emulated_plant():
         assert np.nanmax(np.abs(steps)) < 1e-8
 
 
-def test_filters_tell_which_palm_it_sticks_to_and_what_it_is_like(dry):
+def test_filters_determine_the_sticking_palm_and_the_objects_constants(dry):
     log, truth = dry
     search = searched(log)
     guess = stuck_guess(search.record, blind(search.record, search.prior, 0.0))
@@ -108,8 +108,8 @@ def test_filters_tell_which_palm_it_sticks_to_and_what_it_is_like(dry):
     assert np.mean(truly != guess.palms) < 0.03
 
 
-def test_on_a_moving_rig_that_rubs_little_and_unequally_contacts_tell_what_forces_do_not():
-    """Forces tell the palm that is stuck to by what slips along the other, which is little here."""
+def test_contacts_determine_unequal_friction_where_forces_do_not():
+    """Forces show the sticking palm by the slip on the other one, which is small here."""
     off = replace(PERFECT, friction=0.3)
     lines, truth = simulate_log("rig", 1109, 5.0, PlantOptions(friction_law="coulomb"), imperfections=off)
     with written(lines) as path:
@@ -120,7 +120,7 @@ def test_on_a_moving_rig_that_rubs_little_and_unequally_contacts_tell_what_force
     assert np.mean(truly_stuck(record, truth) != guess.palms) < 0.1
 
 
-def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
+def test_a_diverged_filter_is_dropped_and_the_others_continue(dry):
     search = searched(dry[0], 2.0)
     filters = _initial_filters(blind(search.record, search.prior, 0.0))
     x = filters.x.copy()
@@ -130,8 +130,8 @@ def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
     assert _not_diverged(lost, filters.x[0]).tolist() == [True, False]
 
 
-def test_filters_tell_how_high_the_palms_surfaces_stand(dry):
-    """What is kept and what pads read is the fit's of the same standoffs, and so is what they do to it."""
+def test_filters_estimate_the_pads_standoffs(dry):
+    """Invariants, readings and their sensitivities agree with the fit for the same standoffs."""
     log, _ = dry
     search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 2.0)
     record = search.record
@@ -162,8 +162,8 @@ def test_filters_tell_how_high_the_palms_surfaces_stand(dry):
         assert by[:, :, i] == pytest.approx((then_read - read) / step, rel=1e-3, abs=1e-6)
 
 
-def test_rounding_does_not_grow_into_covariances_that_are_none(dry):
-    """Squared residuals that such a covariance makes negative are taken for the likeliest sequence of palms."""
+def test_covariances_stay_positive_despite_rounding(dry):
+    """A negative squared residual would be taken for the likeliest sequence of palms."""
     search = searched(dry[0], 2.0)
     record = search.record
     filters = _initial_filters(blind(record, search.prior, 0.3))
@@ -179,8 +179,8 @@ def test_rounding_does_not_grow_into_covariances_that_are_none(dry):
     assert (asymmetry <= 1e-12 * sd[:, None] * sd).all()
 
 
-def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
-    """Where changes are wrong by as much as blind filters may be, and one is missing."""
+def test_sticking_palms_are_determined_to_a_step_from_a_fit(dry):
+    """With errors of the mode changes as large as those of blind filters, and one change missing."""
     log, truth = dry
     search = searched(log)
     record = search.record
@@ -196,7 +196,7 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
 
 
-def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
+def test_restarted_filters_use_the_fits_standoffs(dry):
     log, _ = dry
     search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 4.0)
     model, z = drawn(search)
@@ -208,8 +208,8 @@ def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
     assert start.covariance[STANDOFF, STANDOFF] == pytest.approx(4.0 * np.linalg.inv(fit.matrix)[its, its])
 
 
-def test_gains_of_pads_are_told_with_the_object(dry):
-    """Off by so much, and taken for known, they would be forces that nothing explains."""
+def test_the_pads_force_gains_are_estimated_with_the_object(dry):
+    """If they were taken as known, their errors would be unexplained forces."""
     log, truth = dry
     gains = (1.05, 0.96)
     believed = log.rig.with_pads(force_gain_std=0.03)
@@ -225,17 +225,17 @@ def test_gains_of_pads_are_told_with_the_object(dry):
     for stds in ((0.0, 0.0), (0.03, 0.03)):
         model = DryModel(record, search.path, search.prior, phases, stds)
         fits[stds] = model.fit(model.initial_constants(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
-    told, known = fits[0.03, 0.03], fits[0.0, 0.0]
-    assert told.force_chi2 < known.force_chi2 - 0.05
-    modes = model._gain_modes(np.ones(len(record.force_value))) @ told.z[model.gains]
-    weighed = math.exp(told.z[LN_MASS_OF_FIT]) / truth["mass_kg"]
+    estimated, known = fits[0.03, 0.03], fits[0.0, 0.0]
+    assert estimated.force_chi2 < known.force_chi2 - 0.05
+    modes = model._gain_modes(np.ones(len(record.force_value))) @ estimated.z[model.gains]
+    weighed = math.exp(estimated.z[LN_MASS_OF_FIT]) / truth["mass_kg"]
     for pad, gain in enumerate(gains, 1):
         assert weighed * (1.0 + np.mean(modes[record.force_pad == pad])) == pytest.approx(gain, abs=0.01)
-    assert told.z[MU] == pytest.approx(DRY.mu, abs=0.01)
+    assert estimated.z[MU] == pytest.approx(DRY.mu, abs=0.01)
 
 
 def truly_stuck(record, truth):
-    """The palm that was stuck to at the record's nodes."""
+    """The sticking palm at the record's nodes."""
     outline, t = shape.coefficients_of(np.array(truth["h_m"]), ORDER), np.array(truth["t"])
     palms = np.zeros((len(t), 6))
     palms[:, 0], palms[:, 1] = truth["phi1_rad"], truth["phi2_rad"]
@@ -244,7 +244,7 @@ def truly_stuck(record, truth):
     return np.interp(record.t, t, np.argmin(slips, axis=0).astype(float)) > 0.5
 
 
-def test_a_lump_that_sticks_is_reconstructed_blind(dry):
+def test_a_sticking_lump_is_reconstructed_from_a_blind_start(dry):
     log, truth = dry
     answer = dry_reconstruction(searched(log), 0, time.perf_counter())
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -256,8 +256,8 @@ def test_a_lump_that_sticks_is_reconstructed_blind(dry):
     assert answer.turned_sd > 0.0
 
 
-def test_what_comes_before_a_tumble_is_told(dry):
-    """Where it falls over it goes on elsewhere, as nothing that sticks does."""
+def test_the_motion_before_a_tumble_is_reconstructed(dry):
+    """After a tumble the object continues elsewhere, which no sticking object does."""
     log, truth = dry
     tumbles = 6.3
 
@@ -273,8 +273,8 @@ def test_what_comes_before_a_tumble_is_told(dry):
     assert score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"])).e_h < 1e-4
 
 
-def test_what_lies_between_two_tumbles_is_told(dry, monkeypatch):
-    """The first throws filters off, the second is at the end, where the fit tells it and filters do not."""
+def test_the_motion_between_two_tumbles_is_reconstructed(dry, monkeypatch):
+    """The first tumble makes filters diverge; the second, at the end, is found by the fit and not by filters."""
     monkeypatch.setattr(dry_reconstruct, "LEAST_S", 3.0)
     monkeypatch.setattr(dry_reconstruct, "ROUNDS", 0)  # quicker
     log, truth = dry
@@ -293,7 +293,7 @@ def test_what_lies_between_two_tumbles_is_told(dry, monkeypatch):
 
 
 @pytest.mark.parametrize("gain_std", [0.0, 0.03])
-def test_what_slides_under_dither_is_not_taken_for_sticking(gain_std):
+def test_sliding_under_vibration_is_not_taken_for_sticking(gain_std):
     lines, _ = simulate_log("friction", 77, 5.0)
     with written(lines) as path:
         log = read_log(path)
@@ -301,14 +301,14 @@ def test_what_slides_under_dither_is_not_taken_for_sticking(gain_std):
     assert dry_reconstruction(search, 0, time.perf_counter()) is None
 
 
-def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
+def test_on_a_calibrated_rig_the_errors_are_within_the_bands(dry):
     log, truth = dry
     calibrated = replace(log, rig=log.rig.known_to(AS_CALIBRATED))
     answer = dry_reconstruction(searched(calibrated), 0, time.perf_counter())
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
     sd = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
     assert score.e_h < 3.0 * sd
-    assert 5e-5 < sd < 3e-4  # standoffs of 0.2 mm are told in part
+    assert 5e-5 < sd < 3e-4  # standoffs of 0.2 mm are partly determined
     assert answer.mu == pytest.approx(DRY.mu, abs=4.0 * answer.mu_sd)
     sds = np.sqrt(np.diagonal(answer.rig_covariance))
     assert (np.abs(answer.rig) < 3.0 * sds).all()
@@ -316,7 +316,7 @@ def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
 
 
 def drawn(search):
-    """A model of a few phases, and constants of an object and of a rig that is off."""
+    """A model of a few phases, and constants of an object and of a mis-calibrated rig."""
     palms = (np.arange(len(search.record.t)) // 300 % 2).astype(np.intp)
     model = DryModel(search.record, search.path, search.prior, phases_of(palms, search.record.t), (0.03, 0.0))
     random = np.random.default_rng(5)
@@ -327,7 +327,7 @@ def drawn(search):
     return model, z
 
 
-def test_pads_read_what_the_smoothers_kernel_says_on_a_rig_that_is_off(dry):
+def test_readings_agree_with_the_smoothers_kernel_on_a_mis_calibrated_rig(dry):
     model, z = drawn(searched(dry[0], 6.0))
     record, kernel = model.record, contact_function()
     p = np.zeros(CONSTANTS)
@@ -337,12 +337,12 @@ def test_pads_read_what_the_smoothers_kernel_says_on_a_rig_that_is_off(dry):
     for k in range(0, len(inputs), 97):
         palm = int(record.contact_pad[k]) - 1
         value, _, _ = model._contact(lying, palm, z, np.zeros(len(inputs)))
-        told = float(kernel([0.1, 0.0], [0.1, 0.0], p, inputs[k])[0])
-        assert value[k] == pytest.approx(told, abs=3e-6)
+        from_kernel = float(kernel([0.1, 0.0], [0.1, 0.0], p, inputs[k])[0])
+        assert value[k] == pytest.approx(from_kernel, abs=3e-6)
 
 
-def test_a_reading_at_a_nodes_time_but_for_rounding_is_foretold_as_the_others_are(dry):
-    """Over 1e-15 s the rate of ψ is what rounding makes of it: a cost that is rough, where no fit settles."""
+def test_a_reading_at_a_nodes_time_up_to_rounding_is_predicted_smoothly(dry):
+    """Over 1e-15 s the rate of ψ would be dominated by rounding, and no fit would converge."""
     search = searched(dry[0], 4.0)
     record = search.record
     k = len(record.contact_step) // 2
@@ -354,14 +354,14 @@ def test_a_reading_at_a_nodes_time_but_for_rounding_is_foretold_as_the_others_ar
     model = DryModel(record, search.path, search.prior, phases_of(palms, record.t))
     z = model.initial_constants(search.prior.mean[C.SHAPE :], 0.1, DRY.mu, 0.0)
     z[RIG.start + R.LAG : RIG.start + R.LAG + 2] = 3e-3
-    foretold = []
+    predicted = []
     for step in range(4):
         z[4] = step * 1e-6
-        foretold.append(model._contact_terms(z, *model._orientation(z)).residual[k])
-    assert np.diff(foretold, 3) == pytest.approx(0.0, abs=1e-6)
+        predicted.append(model._contact_terms(z, *model._orientation(z)).residual[k])
+    assert np.diff(predicted, 3) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_derivatives_are_those_of_finite_differences(dry):
+def test_derivatives_agree_with_finite_differences(dry):
     model, z = drawn(searched(dry[0], 4.0))
     psi, slope = model._orientation(z)
     of_contacts, of_forces = (of(z, psi, slope).jacobian for of in (model._contact_terms, model._force_terms))
@@ -372,13 +372,13 @@ def test_the_derivatives_are_those_of_finite_differences(dry):
         return (of(after) - of(before)) / 2e-7
 
     for i in (3, standoff, tilt, turn, RIG.stop):
-        told = slope[:, i]
+        column = slope[:, i]
         assert differences(i, lambda z: model._orientation(z)[0]) == pytest.approx(
-            told, rel=1e-4, abs=1e-4 * np.abs(told).max() + 1e-5
+            column, rel=1e-4, abs=1e-4 * np.abs(column).max() + 1e-5
         )
         miss = differences(i, lambda z: -model._contact_terms(z, *model._orientation(z)).residual) - of_contacts[:, i]
         assert np.median(np.abs(miss)) < 1e-2 * np.median(np.abs(of_contacts[:, i])) + 1e-3
     for i in (tilt, turn, asymmetry, model.gains.start, model.gains.stop - 2):
         miss = differences(i, lambda z: -model._force_terms(z, *model._orientation(z)).residual) - of_forces[:, i]
-        moved = of_forces[:, i] != 0.0  # of a gain, the pad's own
+        moved = of_forces[:, i] != 0.0  # only the pad's own gain changes it
         assert np.median(np.abs(miss[moved])) < 1e-2 * np.median(np.abs(of_forces[moved, i]))

@@ -1,4 +1,4 @@
-"""The estimate that is told is whole, though it is made in a shorter way than dataclasses are."""
+"""The published estimate is complete although it is built faster than by a dataclass constructor."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -13,13 +13,13 @@ VALUES = [0.1 * i for i in range(1, len(NAMED) + 1)]
 SDS = [0.01 * i for i in range(1, len(NAMED) + 1)]
 
 
-def told():
+def built():
     mass = SimpleNamespace(value=0.2, sd=0.01)
     return make_estimate(1.5, True, "shape", 2, VALUES, SDS, mass, 1.1, 2.2, 0.3, ("diverged",))
 
 
-def test_every_field_is_there():
-    estimate = told()
+def test_every_field_is_set():
+    estimate = built()
     values = {field.name: getattr(estimate, field.name) for field in dataclasses.fields(Estimate)}
     assert repr(estimate) == repr(Estimate(**values))
     assert set(vars(estimate)) | {"e_f", "e_c"} == set(values)
@@ -28,6 +28,6 @@ def test_every_field_is_there():
     assert set(estimate.sd) == {*NAMED, "mass"}
 
 
-def test_it_does_not_change():
+def test_it_is_immutable():
     with pytest.raises(dataclasses.FrozenInstanceError):
-        told().r1 = 0.0
+        built().r1 = 0.0

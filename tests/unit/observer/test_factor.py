@@ -1,4 +1,4 @@
-"""Quadratic costs of the constants and a node: moved, added, marginalised."""
+"""Quadratic costs of the constants and a node: expanded, added, marginalised."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def cost(factor, y):
     return factor.cost - 2 * factor.side @ by + by @ factor.matrix @ by
 
 
-def test_a_cost_expanded_elsewhere_is_the_same_cost(random):
+def test_expanding_a_cost_elsewhere_does_not_change_it(random):
     factor = a_factor(random)
     moved = factor.moved(factor.about + 1e-3 * random.standard_normal(SIZE))
     for _ in range(5):
@@ -31,7 +31,7 @@ def test_a_cost_expanded_elsewhere_is_the_same_cost(random):
         assert cost(moved, y) == pytest.approx(cost(factor, y), rel=1e-6)
 
 
-def test_marginalised_is_the_least_cost_over_what_is_dropped(random):
+def test_marginalising_minimises_over_the_dropped_variables(random):
     factor, dropped = a_factor(random), slice(CONSTANTS, SIZE)
     kept = factor.marginalised(dropped)
     for _ in range(5):
@@ -42,7 +42,7 @@ def test_marginalised_is_the_least_cost_over_what_is_dropped(random):
         assert cost(kept, p) == pytest.approx(cost(factor, np.concatenate([p, x])), rel=1e-6)
 
 
-def test_two_costs_together_and_apart_again(random):
+def test_costs_are_added_and_subtracted(random):
     one, other = a_factor(random), a_factor(random)
     both = one.plus(other)
     y = one.about + 0.1 * random.standard_normal(SIZE)
@@ -50,20 +50,20 @@ def test_two_costs_together_and_apart_again(random):
     assert cost(both.minus(other), y) == pytest.approx(cost(one, y), rel=1e-6)
 
 
-def test_strain_is_what_the_cost_exceeds_its_least_by(random):
+def test_excess_is_the_cost_above_its_minimum(random):
     factor = a_factor(random)
     least = factor.moved(factor.about + factor.solved(factor.side))
     assert factor.excess() == pytest.approx(factor.cost - least.cost, rel=1e-6)
     assert least.excess() == pytest.approx(0.0, abs=1e-6 * factor.excess())
 
 
-def test_the_determinant_survives_entries_of_very_different_size(random):
+def test_the_determinant_is_accurate_for_entries_of_very_different_size(random):
     factor = a_factor(random, 6)
     assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(factor.matrix)[1], rel=1e-9)
 
 
-def test_the_priors_expansion_is_its_own():
-    """Belief is about ln(ρ/h0), μ and ln u_d, the constants are ln ρ, μ/u_d and 1/u_d²: slope and curve of its cost."""
+def test_the_priors_expansion_has_its_slope_and_curvature():
+    """The prior is in ln(ρ/h0), μ and ln u_d; the constants are ln ρ, μ/u_d and 1/u_d²."""
     mean, sd = np.zeros(CONSTANTS), np.full(CONSTANTS, 1e-3)
     mean[C.SHAPE], mean[C.LN_RHO], sd[C.LN_RHO] = 0.02, -0.35, 0.1
     mean[C.DRAG], mean[C.SATURATION] = 0.1, np.log(0.05)
@@ -80,10 +80,10 @@ def test_the_priors_expansion_is_its_own():
         assert there.cost - here.cost == pytest.approx(slope + curve, abs=0.02 * curve)
 
 
-def test_what_is_known_no_longer_spreads_the_rest(random):
+def test_conditional_covariance_given_known_constants(random):
     root = random.standard_normal((7, 7)) * 10 ** random.uniform(-3, 3, (7, 1))
     covariance = root @ root.T
-    information = np.linalg.inv(covariance)  # of what is left, given the others: its own block
+    information = np.linalg.inv(covariance)  # of the rest, given the others: its own block
     assert conditional_covariance(covariance, slice(4, 7), slice(0, 4)) == pytest.approx(
         np.linalg.inv(information[:4, :4]), rel=1e-4
     )

@@ -1,4 +1,4 @@
-"""The smoother beside a live observer while contacts slip faster than the palms vibrate, as an explorer moves them."""
+"""The live smoother while contacts slip faster than the palms vibrate, as with an explorer's moves."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ PLAN = PlanSpec.model_validate(
 
 
 class Beside:
-    """A smoother that is asked now and then, and whose answers go nowhere."""
+    """A smoother that is called now and then; its answers are not used."""
 
     def __init__(self, rig):
         self.smoother, self.t_ask, self.answers = IncrementalSmoother(rig), 0.0, []
@@ -39,7 +39,7 @@ class Beside:
         return None
 
 
-def test_what_has_been_found_is_followed_through_slip_that_is_faster_than_the_vibration():
+def test_an_estimate_survives_slip_faster_than_the_vibration():
     config = load_config(DEMO)
     beside = Beside(rig_description(config))
     wireless = TwoPalmsLoop(config, PLAN, SEED, smoothing=beside)

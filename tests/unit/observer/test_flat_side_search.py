@@ -1,4 +1,4 @@
-"""Outlines with flat sides: what the readings alone tell of ψ, what a blow costs, and a polygon from a blind start."""
+"""Outlines with flat sides: ψ from the readings alone, the cost of impacts, and a polygon from a blind start."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CORNERS = [(16.1, -4.9), (14.5, 8.0), (0.2, 16.7), (-12.5, 11.1), (-16.8, -6.8),
 SECONDS = 6.0
 
 
-def test_the_readings_of_a_known_outline_tell_how_it_turns():
+def test_readings_of_a_known_outline_determine_its_orientation():
     run = simulated("friction", 3, 3.0)
     search = Search(longest_segment(run.events), run.rig)
     p = np.zeros(sharp.CONSTANTS)
@@ -50,7 +50,7 @@ def test_the_readings_of_a_known_outline_tell_how_it_turns():
     assert np.ptp(true[50:]) > 0.3
 
 
-def test_a_step_is_quiet_or_a_blow():
+def test_a_step_is_either_quiet_or_an_impact():
     noise = ProcessNoise(1e-10, 1e-5, gate=4.0)
     root = np.tile(1.0 / np.sqrt(0.005 * np.array([noise.psi, noise.omega0])), (20, 1))
     defect = np.zeros((20, NODE))
@@ -72,11 +72,11 @@ def a_fit(**but: float) -> Fit:
 @pytest.mark.parametrize(
     ("chi2", "prior_cost", "too_well"), [(0.51, 40.0, True), (0.51, 10.0, False), (0.95, 40.0, False)]
 )
-def test_quiet_readings_of_a_likely_object_are_not_explained_too_well(chi2, prior_cost, too_well):
+def test_overfitting_needs_a_low_chi2_and_a_high_prior_cost(chi2, prior_cost, too_well):
     assert overfits(a_fit(chi2=chi2, prior_cost=prior_cost)) is too_well
 
 
-def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
+def test_a_window_that_grows_over_a_tumble_is_not_continued():
     run = simulated("friction", 3, 3.0)
     record = Search(longest_segment(run.events), run.rig).record
     prior = Prior(np.zeros(sharp.CONSTANTS), np.ones(sharp.CONSTANTS), 1.0)
@@ -85,7 +85,7 @@ def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
     after = Candidate((), prior, longer, a_fit(cost=float(longer.readings)), 1.0)
     assert after.goes_on(before)
     jumped = replace(after, fit=a_fit(cost=longer.readings + 200.0))
-    assert jumped.explains  # as far as the whole record's numbers tell
+    assert jumped.explains  # by the whole record's figures
     assert not jumped.goes_on(before)
 
 
@@ -98,7 +98,7 @@ def test_the_search_ends_when_its_work_is_done(monkeypatch):
 
 
 class Stub(FlatSideFits):
-    """Candidates of a given cost per reading in the place of fits."""
+    """Returns candidates of a given cost per reading instead of fits."""
 
     def __init__(self, fits: FlatSideFits, cost: float = 1.0):
         super().__init__(fits.record, fits._base)
@@ -112,7 +112,7 @@ class Stub(FlatSideFits):
 
 
 class Reluctant(Stub):
-    """Explains nothing beyond `until` (s), and nothing in fewer than `least` iterations."""
+    """Explains nothing after `until` (s), and nothing in fewer than `least` iterations."""
 
     def __init__(self, fits: FlatSideFits, until: float = math.inf, least: int = 0):
         super().__init__(fits)
@@ -137,21 +137,21 @@ def grown_from_three_seconds(monkeypatch, by: float, **reluctant: float) -> tupl
 
 
 @pytest.mark.parametrize(("until", "found"), [(math.inf, 4.6), (4.0, 3.8), (3.5, 3.4), (3.3, None)])
-def test_where_nothing_explains_a_window_less_of_it_may_be(until, found, monkeypatch):
+def test_an_unexplained_window_is_shortened(until, found, monkeypatch):
     _, grown = grown_from_three_seconds(monkeypatch, 1.6, until=until)
     assert [float(each.record.t[-1]) for each in grown[:1]] == (
         [] if found is None else [pytest.approx(found, abs=0.02)]
     )
 
 
-def test_what_would_explain_a_window_is_iterated_to_its_end(monkeypatch):
+def test_a_candidate_that_would_explain_a_window_is_iterated_to_convergence(monkeypatch):
     fits, grown = grown_from_three_seconds(monkeypatch, 1.6, least=LAST_ITERATIONS)
     assert grown[-1].fit.settled
     assert fits.windows == pytest.approx([4.6] * len(fits.windows), abs=0.02)
 
 
 @pytest.mark.parametrize(("lasts", "tried"), [(12.0, [12.0, 6.0]), (8.0, [8.0])])
-def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monkeypatch):
+def test_the_first_half_of_an_undetermined_segment_is_tried(lasts, tried, monkeypatch):
     run = simulated("friction", 3, 12.5)
     search = Search(longest_segment(run.events), run.rig)
     sided = FlatSideSearch(search)
@@ -173,7 +173,7 @@ def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monk
     assert seen == pytest.approx(tried, abs=0.02)
 
 
-def test_sides_that_there_are_not_may_be_left_out_of_the_kernels():
+def test_kernels_without_unused_sides_give_the_same_cost():
     p = np.zeros(sharp.CONSTANTS)
     p[C.SHAPE], p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = 0.018, math.log(0.012), 10.0, 1e4
     p[sharp.NORMALS : sharp.LENGTHS] = 0.7, 1.0, 2.0, 3.0
@@ -190,13 +190,13 @@ def test_sides_that_there_are_not_may_be_left_out_of_the_kernels():
     assert one.corner[known, known] == pytest.approx(all_of_them.corner[known, known], rel=1e-9)
 
 
-def test_a_smooth_outline_explains_what_it_moved_as():
+def test_a_smooth_outline_explains_its_own_motion():
     run = simulated("friction", 3, SECONDS)
     search = Search(longest_segment(run.events), run.rig)
-    told = reconstruct(run.events, run.rig)
-    assert explained_smoothly(search, told)
-    moved = replace(told, psi=told.psi + 0.1 * np.sin(3.0 * (told.t - told.t[0])))
-    assert explained_smoothly(search, moved)  # the search finds back
+    answer = reconstruct(run.events, run.rig)
+    assert explained_smoothly(search, answer)
+    moved = replace(answer, psi=answer.psi + 0.1 * np.sin(3.0 * (answer.t - answer.t[0])))
+    assert explained_smoothly(search, moved)  # the search returns to it
 
 
 def hexagon() -> Run:
@@ -204,29 +204,29 @@ def hexagon() -> Run:
     return simulated("friction", 2, SECONDS, body=body)
 
 
-def test_rides_are_told_together_and_a_narrower_side_gives_less():
+def test_segments_are_fitted_together_and_a_wider_side_changes_little():
     run = hexagon()
     search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
-    ride = group_by_mode(find_mode_segments(search.record))[0][0]
-    told = search.fits.along(WAYS[0], [replace(ride, end=2.7), replace(ride, start=2.9)])
-    record, guess = told.record, told.fit.guess
+    segment = group_by_mode(find_mode_segments(search.record))[0][0]
+    fitted = search.fits.along(WAYS[0], [replace(segment, end=2.7), replace(segment, start=2.9)])
+    record, guess = fitted.record, fitted.fit.guess
     assert len(record.gap_steps) == 1
-    assert told.fit.chi2 < 1.1
+    assert fitted.fit.chi2 < 1.1
     touched = touched_by(normal_angles(record.palms, guess.x[:, 0]))
     assert score_outline(directions(), sharp.support(directions(), guess.p), touched, run.truth.h).e_h < 5e-5
     residuals = Residuals(sharp.library_for(1), record)
-    wider = narrowed(guess, record, ride.palm, 2.0 * math.exp(guess.p[sharp.WIDTH]))
+    wider = narrowed(guess, record, segment.palm, 2.0 * math.exp(guess.p[sharp.WIDTH]))
     assert np.abs(residuals.residuals(wider) - residuals.residuals(guess)).max() < 0.5
-    assert np.abs(guess.x - palm_turn(record, ride.palm))[:, 0].max() < 0.01
-    assert abs(math.remainder(guess.p[sharp.NORMALS] - initial_normal(record, ride.palm), math.tau)) < 0.01
+    assert np.abs(guess.x - palm_turn(record, segment.palm))[:, 0].max() < 0.01
+    assert abs(math.remainder(guess.p[sharp.NORMALS] - initial_normal(record, segment.palm), math.tau)) < 0.01
 
 
-def test_what_other_nodes_tell_otherwise_is_in_the_band():
+def test_differences_between_node_grids_are_in_the_band():
     run = hexagon()
     search = Search(longest_segment(run.events), run.rig)
     sided = FlatSideSearch(search)
-    ride = group_by_mode(find_mode_segments(sided.record))[0][0]
-    best = sided.fits.along(WAYS[0], [replace(ride, end=3.0)])
+    segment = group_by_mode(find_mode_segments(sided.record))[0][0]
+    best = sided.fits.along(WAYS[0], [replace(segment, end=3.0)])
     larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 1e-5
     other_way_round[C.SHAPE : sharp.NORMALS] = turned(-4e-3, ORDER) @ larger[C.SHAPE : sharp.NORMALS]
@@ -238,12 +238,12 @@ def test_what_other_nodes_tell_otherwise_is_in_the_band():
     alone, *others = (_result(best, other, sided, search, 0.0) for other in (None, finer, finer_too, coarser))
     off = score_outline(alone.theta, alone.h, alone.touched, sharp.support(alone.theta, larger)).e_h
     assert off > 5e-6
-    for told, share in zip(others, (1.0, 1.0, NODE_ERROR_LEFT), strict=True):
-        more = np.mean((told.h_sd**2 - alone.h_sd**2)[alone.touched])
+    for one_of_them, share in zip(others, (1.0, 1.0, NODE_ERROR_LEFT), strict=True):
+        more = np.mean((one_of_them.h_sd**2 - alone.h_sd**2)[alone.touched])
         assert math.sqrt(more) == pytest.approx(share * off, rel=0.1)
 
 
-def test_what_rocks_in_a_ride_is_left_out_of_it():
+def test_rocking_is_excluded_from_a_segment():
     run = hexagon()
     search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
     record = search.record
@@ -257,7 +257,7 @@ def test_what_rocks_in_a_ride_is_left_out_of_it():
     assert back == pytest.approx(2.15 + 2.0 * TRIM_S, abs=TRIM_S)
 
 
-def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
+def test_the_rest_of_a_fit_has_the_same_outline_and_motion():
     run = hexagon()
     record = FlatSideSearch(Search(longest_segment(run.events), run.rig)).record
     p = np.zeros(sharp.CONSTANTS)
@@ -275,7 +275,7 @@ def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
     assert parts == pytest.approx(whole[inside], abs=1e-5)
 
 
-def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
+def test_a_polygon_on_a_calibrated_rig_is_reconstructed_by_side_and_corner():
     run = hexagon()
     rig = run.rig.known_to(AS_CALIBRATED)
     answer = sharp_reconstruction(Search(longest_segment(run.events), rig), 0, time.perf_counter())
@@ -286,22 +286,22 @@ def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_co
     assert not explained_smoothly(Search(longest_segment(run.events), rig), answer)
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
     assert score.e_h < min(1e-4, 3 * band)
-    assert band > SHARP_M  # for the rig's sake: the readings tell enough all the same
+    assert band > SHARP_M  # because of the rig; the readings would determine more
 
 
-def torn_apart(run: Run) -> list[Search]:
-    """Its two segments, the longer first, where a contact is lost for half a second."""
+def split_run(run: Run) -> list[Search]:
+    """Its two segments, the longer first, with a contact lost for half a second."""
     seen = [event for event in run.events if not (is_pad(event) and 3.2 < event.t_sample < 3.7)]
     main, other = (Search(segment, run.rig) for segment in data_segments(seen))
     assert main.segment.end < other.segment.start
     return [main, other]
 
 
-def test_rides_in_other_segments_tell_of_the_same_side(monkeypatch):
+def test_mode_segments_in_other_data_segments_are_used_for_the_same_side(monkeypatch):
     for module in ("flat_side_search", "sharp_reconstruct"):
         monkeypatch.setattr(f"palmd.observer.{module}.LEAST_S", 3.0)
     run = hexagon()
-    main, *others = torn_apart(run)
+    main, *others = split_run(run)
     answer = sharp_reconstruction(main, 0, time.perf_counter(), None, others)
     assert answer is not None
     assert {end < 3.3 for _, end in answer.spans} == {True, False}
@@ -311,12 +311,12 @@ def test_rides_in_other_segments_tell_of_the_same_side(monkeypatch):
 
 
 @pytest.mark.parametrize(("start", "times"), [(0.1, 1), (3.8, 0)])
-def test_what_rides_in_another_segment_alone_is_not_told(monkeypatch, start, times):
-    main, *others = torn_apart(hexagon())
+def test_a_mode_segment_in_another_data_segment_alone_is_not_fitted(monkeypatch, start, times):
+    main, *others = split_run(hexagon())
     search = FlatSideSearch(main, 0, others)
-    ride = ModeSegment(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    segment = ModeSegment(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
     monkeypatch.setattr(
-        "palmd.observer.flat_side_search.find_mode_segments", lambda record: [ride] if record.t[0] < 1.0 else []
+        "palmd.observer.flat_side_search.find_mode_segments", lambda record: [segment] if record.t[0] < 1.0 else []
     )
     monkeypatch.setattr(search.fits, "on_one_side", lambda _: [SimpleNamespace(explains=True)])
     assert len(list(search.segment_fits())) == times

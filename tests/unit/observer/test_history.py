@@ -1,4 +1,4 @@
-"""Going back for a late event: to the bank as it was, and no further than there is memory for."""
+"""Undoing events for a late one: back to the bank's earlier state, as far as memory allows."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ def bank():
     return ShapeFilters(RigDescription(), 8).bank
 
 
-def lived(bank, count):
-    """A history of events at 1, 2, … s, before each of which all states were that number."""
+def history_of_events(bank, count):
+    """A history of events at 1, 2, … s; before each event all states equal its number."""
     history = History([bank])
     history.use(bank)
     bank.refill()
@@ -28,27 +28,27 @@ def lived(bank, count):
     return history
 
 
-def test_what_came_after_is_undone_and_told_in_its_order(bank):
-    undone = lived(bank, 5).undo(2.5, bank)
+def test_later_events_are_undone_and_returned_in_order(bank):
+    undone = history_of_events(bank, 5).undo(2.5, bank)
     assert [entry.event.t_sample for entry in undone] == [3.0, 4.0, 5.0]
     assert np.all(bank.x == 3.0)
 
 
 def test_an_undone_event_is_gone(bank):
-    history = lived(bank, 5)
+    history = history_of_events(bank, 5)
     history.undo(2.5, bank)
     assert history.undo(4.5, bank) is None
 
 
-def test_only_so_many_events_can_be_undone(bank):
-    history = lived(bank, EVENTS + 3)
+def test_the_number_of_events_that_can_be_undone_is_limited(bank):
+    history = history_of_events(bank, EVENTS + 3)
     assert history.undo(2.5, bank) is None
-    assert np.all(np.isnan(bank.x)), "what is too late changes nothing"
+    assert np.all(np.isnan(bank.x)), "a too late event changes nothing"
     assert len(history.undo(3.5, bank)) == EVENTS
 
 
 def test_a_cleared_history_cannot_be_undone(bank):
-    history = lived(bank, 5)
+    history = history_of_events(bank, 5)
     history.clear()
     assert history.undo(2.5, bank) is None
-    assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "no memory is lost"
+    assert len({id(history.snapshot()) for _ in range(EVENTS)}) == EVENTS, "all snapshots are reusable"

@@ -1,4 +1,4 @@
-"""The smoother beside a live observer: what it knows only grows, through rests and losses, in bounded time."""
+"""The incremental smoother beside a live observer: information accumulates over rests and losses, in bounded time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ OUTLINE = slice(shape_map.Z.SHAPE, None)
 
 
 def scored(answer: Improvement, run: Run) -> tuple[float, float, float]:
-    """RMS error of the outline where it was touched (µm), RMS of its one-sigma there (µm), and the touched share."""
+    """RMS error of the touched outline (µm), RMS of its one-sigma there (µm), and the touched share."""
     coefficients, touched = answer.x[OUTLINE], answer.touched
     score = score_outline(THETA, shape.basis(THETA, ORDER) @ coefficients, touched, run.truth.h)
     sd = gauge_free_sd(THETA, THETA[touched], coefficients, answer.P[OUTLINE, OUTLINE])[touched]
@@ -45,15 +45,15 @@ def scored(answer: Improvement, run: Run) -> tuple[float, float, float]:
 
 
 class Beside:
-    """A smoother that is given a run as the loop would, and asked each half second."""
+    """A smoother that is fed a run as the loop does, and called each half second."""
 
     def __init__(self, run: Run):
         self.run, self.smoother, self.t = run, IncrementalSmoother(run.rig), 0.0
         self.answers: list[Improvement] = []
-        self.kept: dict[float, int] = {}  # how many events it looks at, by the time it was asked
+        self.kept: dict[float, int] = {}  # number of retained events by time of the call
 
     def until(self, t: float, session: Session) -> Improvement | None:
-        """Go on to `t` (s); the last answer on the way."""
+        """Continue to `t` (s); the last answer on the way."""
         last = None
         while self.t < t:
             before, self.t = self.t, min(self.t + 0.5, t)
@@ -66,8 +66,8 @@ class Beside:
         return last
 
 
-def test_a_covariance_that_is_none_is_no_answer_and_nothing_breaks(monkeypatch):
-    """Of what sticks to a palm, fits can run aground so; the observer beside it has to go on."""
+def test_a_failed_factorisation_gives_no_answer(monkeypatch):
+    """Fits of sticking objects can fail so; the observer must continue."""
 
     def not_positive_definite(*_):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
@@ -81,14 +81,14 @@ def test_a_covariance_that_is_none_is_no_answer_and_nothing_breaks(monkeypatch):
 
 @pytest.fixture(scope="module")
 def rested() -> tuple[Beside, list[Improvement | None]]:
-    """An object that lies still for a long while, and the answers before, at the end of that, and after."""
+    """An object that rests for a long time; the answers before, at the end of, and after the rest."""
     beside, session = Beside(simulated("friction", 700, 36.0, rests=((12.0, 31.0),))), Session(1, 0.0)
     return beside, [beside.until(t, session) for t in (12.5, 30.5, 36.0)]
 
 
 @pytest.fixture(scope="module")
 def pushed() -> tuple[Beside, Improvement | None]:
-    """Somebody turns the object by hand for a second, without either pad losing it; the last answer before."""
+    """Somebody turns the object by hand for a second without loss of contact; the last answer before."""
     run = simulated("rig", 4, 24.0)
 
     def push(event: Event) -> Event:
@@ -102,7 +102,7 @@ def pushed() -> tuple[Beside, Improvement | None]:
 Rested = tuple[Beside, list[Improvement | None]]
 
 
-def test_rest_does_not_wear_off_what_was_felt(rested: Rested) -> None:
+def test_a_rest_does_not_reduce_the_information(rested: Rested) -> None:
     beside, (moved, still, again) = rested
     assert moved is not None
     assert still is not None
@@ -114,13 +114,13 @@ def test_rest_does_not_wear_off_what_was_felt(rested: Rested) -> None:
     assert all(answer.established and answer.frame == moved.frame for answer in (moved, still, again))
 
 
-def test_what_an_answer_looks_at_is_bounded_however_long_it_has_been(rested: Rested) -> None:
+def test_the_number_of_retained_events_is_bounded(rested: Rested) -> None:
     kept = rested[0].kept
     assert kept[36.0] < 1.2 * kept[16.0]
     assert kept[16.0] < 6 * 300
 
 
-def test_what_the_law_of_friction_alone_does_not_explain_is_explained_doubting_it(monkeypatch) -> None:
+def test_readings_beyond_the_friction_law_are_fitted_with_its_discrepancy(monkeypatch) -> None:
     run = simulated("friction", 700, 12.0, vibration=INDEPENDENT)
     session, asked = Session(1, 0.0), list[bool]()
     beside, minima = Beside(run), Search.minima
@@ -139,7 +139,7 @@ def test_what_the_law_of_friction_alone_does_not_explain_is_explained_doubting_i
     assert error < 3.0 * sd
 
 
-def test_what_a_segment_tells_is_as_uncertain_as_the_law_of_friction(monkeypatch) -> None:
+def test_marginalised_segments_include_the_friction_discrepancy(monkeypatch) -> None:
     left_open, append = list[FloatArray](), Chain.append
 
     def seen(chain: Chain, record: Record, guess: Guess) -> None:
@@ -152,7 +152,7 @@ def test_what_a_segment_tells_is_as_uncertain_as_the_law_of_friction(monkeypatch
     assert all((each > 0.0).mean() > 0.5 for each in left_open)
 
 
-def test_bands_hold_on_pads_whose_errors_of_place_many_readings_share() -> None:
+def test_bands_hold_on_pads_with_correlated_errors_of_place() -> None:
     sd_m, length_m = 7e-5, 3e-3
     run = simulated("rig", 710, 16.0)
     errors = [
@@ -171,16 +171,16 @@ def test_bands_hold_on_pads_whose_errors_of_place_many_readings_share() -> None:
     assert error < 3.0 * sd
 
 
-def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_force() -> None:
-    """How far the contact reads for the force is told by the force; left out, readings contradict what is known."""
+def test_saturated_pads_without_force_do_not_lose_the_estimate() -> None:
+    """A force-dependent contact shift is corrected by the force; without it, readings contradict the estimate."""
     off_m_n, heavier, beyond, end = 6e-5, 2.0, 8.0, 14.0
     run = simulated("rig", 710, end, rests=((9.0, end),))
 
     def pressed(sample: PadSample) -> PadSample:
         assert sample.force is not None
         force = heavier * sample.force
-        told = None if sample.pad == PALMS[-1] and sample.t_sample > beyond else force
-        return replace(sample, s=sample.s + off_m_n * force, force=told)
+        measured_force = None if sample.pad == PALMS[-1] and sample.t_sample > beyond else force
+        return replace(sample, s=sample.s + off_m_n * force, force=measured_force)
 
     rig = run.rig.with_pads(force_sd=off_m_n)
     beside = Beside(Run(tuple(pads_changed(run.events, pressed)), rig, run.truth, run.palms))
@@ -194,12 +194,12 @@ def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_fo
 
 
 @pytest.mark.nightly
-def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() -> None:
+def test_a_returning_object_is_recognised_and_its_records_are_joined() -> None:
     absences = ((9.0, 10.0), (18.0, 19.0), (27.0, 28.0))
     run = simulated("rig", 710, 36.0, absences=absences)
     beside = Beside(run)
     ends, starts = (9.0, 18.0, 27.0, 36.0), (0.0, 10.02, 19.02, 28.02)
-    told = []
+    scores = []
     for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
         beside.until(start, Session(number, math.inf))
         if number == 2:  # sooner than a blind search confirms a new object
@@ -208,8 +208,8 @@ def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() ->
             assert soon.established
         answer = beside.until(end, Session(number + 1, start))
         assert answer is not None
-        told.append(scored(answer, run))
-    errors, sds, touched = zip(*told, strict=True)
+        scores.append(scored(answer, run))
+    errors, sds, touched = zip(*scores, strict=True)
     assert touched[-1] > 1.5 * touched[0]
     assert sds[-1] < sds[0]
     assert errors[-1] < max(1.2 * errors[0], 2 * sds[-1])
@@ -217,20 +217,20 @@ def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() ->
     assert len(frames) == len(starts)  # each time it lies in a gauge of its own
 
 
-def test_what_was_kept_and_cannot_be_weighed_is_passed_over() -> None:
+def test_an_archived_record_that_cannot_be_compared_is_skipped() -> None:
     run = simulated("rig", 710, 14.0, absences=((7.0, 8.0),))
     beside = Beside(run)
     beside.until(7.0, Session(0, 0.0))
     beside.until(8.02, Session(1, math.inf))
     (kept,) = beside.smoother._archive
-    spoilt = replace(kept, information=replace(kept.information, matrix=-kept.information.matrix))
-    beside.smoother._archive = [spoilt]
+    corrupted = replace(kept, information=replace(kept.information, matrix=-kept.information.matrix))
+    beside.smoother._archive = [corrupted]
     answer = beside.until(14.0, Session(1, 8.02))
     assert answer is not None
-    assert beside.smoother._archive == [spoilt]
+    assert beside.smoother._archive == [corrupted]
 
 
-def test_another_object_begins_with_nothing() -> None:
+def test_another_object_starts_without_knowledge() -> None:
     first, second = simulated("friction", 700, 9.0), simulated("friction", 713, 9.0)
     beside = Beside(first)
     before = beside.until(5.0, Session(1, 0.0))
@@ -245,7 +245,7 @@ def test_another_object_begins_with_nothing() -> None:
     assert scored(after, second)[1] == pytest.approx(scored(alone, second)[1], rel=0.05)
 
 
-def test_while_nothing_lies_there_nothing_piles_up() -> None:
+def test_without_an_object_events_do_not_accumulate() -> None:
     run = simulated("friction", 700, 9.0)
     smoother = IncrementalSmoother(run.rig)
     for event in run.events:
@@ -254,8 +254,8 @@ def test_while_nothing_lies_there_nothing_piles_up() -> None:
     assert len(smoother._events) < 300
 
 
-def test_palms_at_rest_from_the_start_are_waited_through() -> None:
-    """A minute of standing still before the first motion costs nothing, and does not blind the search."""
+def test_a_rest_at_the_start_is_waited_through() -> None:
+    """A minute of rest before the first motion costs nothing and does not spoil the search."""
     run = simulated("friction", 700, 26.0, rests=((-1.0, 18.0),))  # no first second of motion either
     beside, session = Beside(run), Session(1, 0.0)
     assert beside.until(18.0, session) is None
@@ -268,7 +268,7 @@ def test_palms_at_rest_from_the_start_are_waited_through() -> None:
 Pushed = tuple[Beside, Improvement | None]
 
 
-def test_readings_that_contradict_are_sought_anew_and_the_rest_is_kept(pushed: Pushed) -> None:
+def test_contradicting_readings_start_a_new_search_and_earlier_information_is_kept(pushed: Pushed) -> None:
     beside, before = pushed
     assert before is not None
     after = beside.until(24.0, Session(1, 0.0))
@@ -279,8 +279,8 @@ def test_readings_that_contradict_are_sought_anew_and_the_rest_is_kept(pushed: P
 
 def test_the_same_calls_give_the_same_answers(pushed: Pushed) -> None:
     first, second = pushed[0], Beside(pushed[0].run)
-    second.until(12.0, Session(1, 0.0))  # beyond where the readings contradict
-    first.until(12.0, Session(1, 0.0))  # unless it is farther
+    second.until(12.0, Session(1, 0.0))  # beyond the time at which the readings contradict
+    first.until(12.0, Session(1, 0.0))  # unless it is already beyond
     assert len(second.answers) > 10
     for one, other in zip(first.answers, second.answers, strict=False):
         assert (one.t, one.frame, one.established) == (other.t, other.frame, other.established)
@@ -288,8 +288,8 @@ def test_the_same_calls_give_the_same_answers(pushed: Pushed) -> None:
         assert one.P.tobytes() == other.P.tobytes()
 
 
-def test_friction_in_other_coordinates_is_the_same_belief() -> None:
-    """Against drawing from the one and transforming each draw."""
+def test_transforming_the_friction_parameters_keeps_the_belief() -> None:
+    """Against transforming random draws."""
     n = shape_map.size(ORDER)
     x, sd = np.zeros(n), np.full(n, 1e-6)
     mu, dither = shape_map.Z.MU, shape_map.Z.LN_DITHER
@@ -306,8 +306,8 @@ def test_friction_in_other_coordinates_is_the_same_belief() -> None:
     assert covariance[np.ix_([mu, dither], [mu, dither])] == pytest.approx(np.cov(there.T), rel=0.02)
 
 
-def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> None:
-    """Of state and constants together: their own, and what they have in common."""
+def test_rig_spread_and_remaining_covariance_add_up_to_the_whole() -> None:
+    """State and constants: their own covariances and the cross-covariance."""
     random = np.random.default_rng(1)
     y = np.zeros(CONSTANTS + 2)
     y[C.SATURATION], y[C.SHAPE] = 1e4, 0.02
@@ -321,7 +321,7 @@ def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> Non
     assert np.allclose(of_rig @ of_rig.T, covariance[RIG, RIG])
 
 
-def test_an_object_that_hops_is_known_again_where_it_lay() -> None:
+def test_an_object_that_hops_is_recognised_in_its_place() -> None:
     run, away, back = simulated("rig", 710, 12.0), 9.0, 9.1
     beside = Beside(run)
     assert beside.until(away, Session(1, 0.0)) is not None
@@ -367,8 +367,8 @@ def test_a_backlog_of_readings_is_processed_in_parts_within_the_budget(monkeypat
     assert error < 2.5 * sd
 
 
-def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
-    """It is established once it has explained enough; nothing of the kind on a rig that is known exactly."""
+def test_a_continuation_that_fails_strictly_is_followed_on_trial(monkeypatch):
+    """It is established after it has explained enough; never on an exactly known rig."""
     run = simulated("friction", 700, 9.0)
     session, carried_on = Session(1, 0.0), Search.resumed
 
@@ -394,8 +394,8 @@ def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
     assert not any(answer.established for answer in answers(run.rig))
 
 
-def test_what_explains_only_the_first_readings_is_never_established(monkeypatch):
-    """However many readings there were: it does not predict those that it leaves out."""
+def test_an_explanation_of_the_first_readings_only_is_never_established(monkeypatch):
+    """However many readings follow: it does not predict those that it leaves out."""
     run, carried_on = simulated("friction", 700, 9.0), Search.resumed
 
     def resumed(self, guesses, predict_forces=False, strict=True):

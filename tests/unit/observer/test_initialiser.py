@@ -1,4 +1,4 @@
-"""The search for an unknown object: when what it finds is an answer."""
+"""The search for an unknown object: when its result is accepted."""
 
 import math
 from dataclasses import replace
@@ -21,8 +21,8 @@ RUN = ("friction", 107, 3.0)
 STARVED_S = 0.8
 
 
-def sought(rig, times=2):
-    """Whether what is told of the same readings is sure, asked so many times."""
+def confirmations(rig, times=2):
+    """Whether the result for the same readings is confirmed, for each of so many calls."""
     (segment,) = data_segments(simulated(*RUN).events)
     mine = Initialiser(rig, 0)
     return [mine.search(segment, None) is not None and mine.confirmed for _ in range(times)]
@@ -33,17 +33,17 @@ def rig():
     return simulated(*RUN).rig
 
 
-def test_on_a_rig_that_is_as_described_the_first_search_is_believed(rig):
-    assert sought(rig, 1) == [True]
+def test_on_an_exactly_known_rig_the_first_search_is_accepted(rig):
+    assert confirmations(rig, 1) == [True]
 
 
-def test_on_an_exact_rig_only_what_is_likelier_than_a_ride_is_sure(rig, monkeypatch):
+def test_on_an_exact_rig_a_result_must_be_likelier_than_the_fixed_mode(rig, monkeypatch):
     monkeypatch.setattr(Search, "likeliest", lambda _, finding, motions: Likeliest(finding, False, motions))
-    assert sought(rig) == [False, False]
+    assert confirmations(rig) == [False, False]
 
 
-def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig, monkeypatch):
-    """But it is where the readings begin anew, or something else is believed of the rig."""
+def test_the_fixed_mode_is_not_retested_on_an_extension_of_the_same_record(rig, monkeypatch):
+    """It is retested if the record begins later or if the rig's prior changes."""
     tried = []
 
     def likeliest(_, finding, motions):
@@ -62,17 +62,17 @@ def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig
     assert tried[-1] == MOTIONS
 
 
-def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, monkeypatch):
-    """Short records are explained as well by outlines that are a millimetre off."""
+def test_with_uncertain_constants_a_second_search_must_agree(rig, monkeypatch):
+    """Outlines that are wrong by a millimetre explain short records as well."""
     calibrated = rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
-    assert sought(calibrated) == [False, True]
+    assert confirmations(calibrated) == [False, True]
     monkeypatch.setattr(initialiser, "agree", lambda *_: False)
-    assert sought(calibrated, 3) == [False] * 3
+    assert confirmations(calibrated, 3) == [False] * 3
 
 
 @pytest.mark.parametrize(("alone_s", "sure"), [(2.0, True), (4.0, False)])
-def test_what_has_no_rival_for_long_need_not_be_found_again(rig, monkeypatch, alone_s, sure):
-    """Of long records blind searches often make nothing, and what is right could never be vouched for."""
+def test_a_result_without_rivals_on_a_long_record_needs_no_second_search(rig, monkeypatch, alone_s, sure):
+    """In long records blind searches often fail, so that a correct result could never be confirmed."""
     calibrated, blind, begun = rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0}), Search.blind, []
 
     def once(self, attempt, seed):
@@ -81,11 +81,11 @@ def test_what_has_no_rival_for_long_need_not_be_found_again(rig, monkeypatch, al
 
     monkeypatch.setattr(Search, "blind", once)
     monkeypatch.setattr(initialiser, "ALONE_S", alone_s)
-    assert sought(calibrated) == [False, sure]
+    assert confirmations(calibrated) == [False, sure]
 
 
-def test_on_a_fixed_hinge_it_is_set_against_palms_that_rub_unequally_either_way(rig, monkeypatch):
-    """They turn what they rub unequally, which equal palms and a wrong outline explain as well for seconds."""
+def test_on_a_fixed_hinge_it_is_compared_with_unequal_friction_of_both_signs(rig, monkeypatch):
+    """For seconds, unequal friction and equal friction with a wrong outline explain the readings equally well."""
     begun, blind = [], Search.blind
 
     def noted(self, attempt, seed):
@@ -94,24 +94,24 @@ def test_on_a_fixed_hinge_it_is_set_against_palms_that_rub_unequally_either_way(
 
     monkeypatch.setattr(Search, "blind", noted)
     assert rig.hinge == "fixed"
-    assert sought(rig.known_to(AS_CALIBRATED), 3) == [False, False, True]
+    assert confirmations(rig.known_to(AS_CALIBRATED), 3) == [False, False, True]
     assert begun[0] == 0.0
     assert {*begun[1:]} == {0.5, -0.5}
 
 
-def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_rival(rig, monkeypatch):
-    """Of a short one they tell nothing: there a wrong outline may be the only one that was found."""
+def test_failed_searches_of_a_long_record_show_that_there_is_no_rival(rig, monkeypatch):
+    """In a short record they do not: the only outline found may be wrong."""
     blind = Search.blind
     monkeypatch.setattr(
         Search, "blind", lambda self, attempt, seed: None if attempt.asymmetry else blind(self, attempt, seed)
     )
-    assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
+    assert confirmations(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
     monkeypatch.setattr(initialiser, "SUFFICIENT_S", 2.0)
-    assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
+    assert confirmations(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
 
 
-def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it():
-    """Else nothing would be found until the whole record is too long to be kept."""
+def test_corrupted_early_readings_are_dropped_when_nothing_explains_them():
+    """Otherwise nothing would be found until the record is too long to be kept."""
     run = simulated("friction", 107, 5.0)
     events = []
     for event in run.events:
@@ -132,7 +132,7 @@ def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it(
 
 @pytest.fixture
 def asked(monkeypatch):
-    """Which searches are asked for, in order; `nothing`: which of them come to nothing."""
+    """The searches in the order of their calls; `nothing` lists those that return nothing."""
     order, nothing = [], set()
     for name in ("from_constants", "blind"):
         search = getattr(Search, name)
@@ -145,7 +145,7 @@ def asked(monkeypatch):
     return order, nothing
 
 
-def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, asked):
+def test_a_confirmed_result_found_again_without_rivals_is_not_challenged(rig, asked):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 6.5).events)
     seek = Initialiser(rig, 0)
@@ -171,9 +171,7 @@ def find_a_rival(monkeypatch):
 
 
 @pytest.mark.parametrize("come_out", [disagree, find_a_rival])
-def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_has_doubled(
-    rig, asked, monkeypatch, come_out
-):
+def test_a_confirmed_result_with_rivals_is_challenged_when_the_record_has_doubled(rig, asked, monkeypatch, come_out):
     order, _ = asked
     come_out(monkeypatch)
     whole = longest_segment(simulated("friction", 107, 6.5).events)
@@ -188,10 +186,8 @@ def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_ha
     ("nothing", "exact", "expected"),
     [((), True, ["blind"]), (("blind",), True, ["blind", "from_constants"]), ((), False, ["from_constants", "blind"])],
 )
-def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_open(
-    rig, asked, nothing, exact, expected
-):
-    """On a rig that is known exactly it is what is begun with where a blind search finds nothing."""
+def test_a_filters_converged_state_is_a_second_start_with_uncertain_constants(rig, asked, nothing, exact, expected):
+    """On an exactly known rig it is the start when the blind search finds nothing."""
     order, vain = asked
     vain.update(nothing)
     segment = longest_segment(simulated(*RUN).events)
@@ -201,7 +197,7 @@ def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_op
     assert order == expected
 
 
-def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig, asked):
+def test_a_filters_converged_state_is_not_used_once_a_result_is_known(rig, asked):
     order, vain = asked
     whole = longest_segment(simulated("friction", 107, 3.2).events)
     seek = Initialiser(rig, 0)
@@ -211,8 +207,8 @@ def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig,
     assert order == ["blind", "blind"]
 
 
-def test_after_two_searches_in_vain_it_begins_anew_with_the_latest_readings(rig, monkeypatch):
-    """What no search passes would be at the beginning of every longer record."""
+def test_after_two_failed_searches_it_restarts_with_the_latest_readings(rig, monkeypatch):
+    """Unexplainable readings would be at the beginning of every longer record."""
     monkeypatch.setattr(Search, "blind", lambda *_: None)
     whole = longest_segment(simulated("friction", 0, 8.0).events)
     seek, useful = Initialiser(rig, seed=0), []
@@ -223,8 +219,8 @@ def test_after_two_searches_in_vain_it_begins_anew_with_the_latest_readings(rig,
     assert useful[1] == useful[2] == pytest.approx(3.7 - initialiser.RENEWED_S, abs=0.02)
 
 
-def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
-    """Where contacts stick and slip, an iteration on the law's corners may go on for ever."""
+def test_a_fit_that_does_not_converge_is_retried_with_the_friction_discrepancy(rig):
+    """With stick and slip, the iteration may cycle at the corners of the friction law."""
     run = simulated("friction", 700, 4.0, vibration=INDEPENDENT)
     search = Search(longest_segment(run.events), run.rig)
     found = search.blind(Attempt(2.0, 3), 0)
@@ -234,14 +230,14 @@ def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
     assert doubted.fits[0].settled
     assert doubted.record.discrepancy.any()
     assert explained(doubted.fits[0], doubted.record)
-    old = simulated("friction", 0, 4.0)  # by the averaged law, which leaves nothing open
+    old = simulated("friction", 0, 4.0)  # by the averaged law, which has no discrepancy
     search = Search(longest_segment(old.events), old.rig)
     found = search.blind(Attempt(2.0, 3), 0)
     unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
     assert search.with_friction_discrepancy(unsettled) is unsettled
 
 
-def test_one_step_that_is_not_explained_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):
+def test_one_unexplained_step_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 10.0).events)
     seek, resumed = Initialiser(rig, 0), Search.resumed

@@ -1,4 +1,4 @@
-"""What surprised a filter widens what is published, for a while, and nothing that is acted on."""
+"""A failed innovation test temporarily widens published standard deviations and no internal ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from palmd.observer.forgetting import HIGH_NIS
 from palmd.observer.track import DECAY_S, InnovationTest
 
 
-def test_the_worst_of_late_counts_and_fades() -> None:
+def test_the_factor_follows_the_worst_recent_nis_and_decays() -> None:
     innovation_test = InnovationTest()
     innovation_test.take(HIGH_NIS - 0.1, 1.0)
     assert innovation_test.factor == 1.0
@@ -30,8 +30,8 @@ def test_the_worst_of_late_counts_and_fades() -> None:
     assert innovation_test.factor < 20.0
 
 
-def _watched(surprised_with: float) -> BankObserver:
-    """An observer that has watched a run for 4 s, whose filters' mean NIS is then set."""
+def _watched(mean_nis: float) -> BankObserver:
+    """An observer after 4 s of a run, with its filters' mean NIS then set."""
     run = simulated("nominal", 107, 6.0)
     watcher, tick = observer.make("shape", run.rig), 0.01
     for event in run.events:
@@ -41,22 +41,22 @@ def _watched(surprised_with: float) -> BankObserver:
             watcher.estimate(tick)
             tick += 0.01
         watcher.feed(event)
-    watcher._fusion.bank.nis[:] = surprised_with
+    watcher._fusion.bank.nis[:] = mean_nis
     return watcher
 
 
-def test_it_widens_what_is_told_and_nothing_that_is_acted_on() -> None:
-    calm, surprised = _watched(1.0), _watched(1.9)
-    before, after = calm.estimate(4.0), surprised.estimate(4.0)
+def test_it_widens_published_sds_and_not_the_planning_belief() -> None:
+    calm, high_nis = _watched(1.0), _watched(1.9)
+    before, after = calm.estimate(4.0), high_nis.estimate(4.0)
     assert before.valid
     assert after.valid
     assert after.r1 == before.r1
     assert after.sd["r1"] == pytest.approx(5.0 * before.sd["r1"])
-    shapes = calm.shape(4.0), surprised.shape(4.0)
+    shapes = calm.shape(4.0), high_nis.shape(4.0)
     assert None not in shapes
     assert np.allclose(shapes[1].h_sd, 5.0 * shapes[0].h_sd)
-    outlooks = calm.planning_belief(4.0), surprised.planning_belief(4.0)
-    assert None not in outlooks
-    assert (outlooks[1].h_sd == outlooks[0].h_sd).all()
-    assert (outlooks[1].states == outlooks[0].states).all()
-    assert surprised.estimate(4.005).valid
+    beliefs = calm.planning_belief(4.0), high_nis.planning_belief(4.0)
+    assert None not in beliefs
+    assert (beliefs[1].h_sd == beliefs[0].h_sd).all()
+    assert (beliefs[1].states == beliefs[0].states).all()
+    assert high_nis.estimate(4.005).valid

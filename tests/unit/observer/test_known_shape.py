@@ -1,4 +1,4 @@
-"""An object of a stored outline: its absolute pose is found at once, and another object is never taken for it."""
+"""An object with a stored outline: its absolute pose is found at once, and other objects are rejected."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def body_of(kind, seed):
 # ---- the belief
 
 
-def test_the_band_of_the_file_is_that_of_the_belief():
+def test_the_belief_has_the_files_standard_deviations():
     outline = outline_of(body_of("nominal", 3))
     band = 1e-5 * (3.0 + np.cos(THETA))
     rows = shape.basis(THETA)
@@ -45,7 +45,7 @@ def test_the_band_of_the_file_is_that_of_the_belief():
     assert sd == pytest.approx(np.hypot(band, 5e-6 * math.sqrt(8)), rel=0.06)
 
 
-def test_what_the_map_cannot_hold_of_the_outline_is_doubt():
+def test_truncated_harmonics_of_the_outline_widen_the_belief():
     outline = outline_of(body_of("nominal", 3))
     rough = replace(outline, h=outline.h + 5e-5 * math.sqrt(2) * np.cos(11 * THETA))
     rows = shape.basis(THETA)
@@ -57,7 +57,7 @@ def test_what_the_map_cannot_hold_of_the_outline_is_doubt():
     assert np.sqrt(sd(rough) ** 2 - sd(outline) ** 2) == pytest.approx(np.full(360, 5e-5), rel=0.02)
 
 
-def test_the_constants_are_those_of_the_file_or_of_any_object():
+def test_constants_come_from_the_file_or_from_the_prior():
     body = body_of("friction", 5)
     belief = stored([outline_of(body)])
     assert belief.x[0, Z.LN_RHO] == pytest.approx(math.log(body.rho))
@@ -68,7 +68,7 @@ def test_the_constants_are_those_of_the_file_or_of_any_object():
 
 
 @pytest.mark.parametrize("psi", [0.4, 2.9, 5.5])
-def test_it_starts_at_the_poses_that_give_the_readings(psi):
+def test_it_starts_at_the_poses_that_match_the_readings(psi):
     outlines = library("friction", 2, 6)[1]
     belief = stored(outlines)
     _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
@@ -96,10 +96,10 @@ def test_pose_and_motion_of_a_known_outline(kind, seed):
     bodies, outlines = library(kind, seed, 2)
     run = run_with(bodies[0], kind, seed, 3.0)
     watcher = observer.make("shape", run.log.rig, outlines=outlines[:1])
-    told = [tick.estimate for tick in replay(run.log, watcher)]
-    valid = [e for e in told if e.valid]
+    estimates = [tick.estimate for tick in replay(run.log, watcher)]
+    valid = [e for e in estimates if e.valid]
     assert valid[0].t < 1.5
-    assert len(valid) > 0.95 * sum(e.t >= valid[0].t for e in told)
+    assert len(valid) > 0.95 * sum(e.t >= valid[0].t for e in estimates)
     t = [e.t for e in valid]
     psi = angle(np.array([e.psi for e in valid]) - np.interp(t, run.t, run.psi))
     assert np.sqrt(np.mean(psi**2)) < 0.03
@@ -113,14 +113,14 @@ def test_pose_and_motion_of_a_known_outline(kind, seed):
     assert drawn.h == pytest.approx(bodies[0].support.sample(drawn.theta), abs=1e-4), "in the file's own frame"
 
 
-def test_an_object_that_looks_the_same_both_ways_round_has_two_orientations():
+def test_a_symmetric_object_has_two_orientations():
     body = next(b for b in (body_of("odd", seed) for seed in range(20)) if b.shape == "ellipse")
     run = run_with(body, "odd", 3, 2.5)
-    told = [t.estimate for t in replay(run.log, observer.make("shape", run.log.rig, outlines=[outline_of(body)]))]
-    assert told[-1].valid
-    assert told[-1].sd["psi"] > 1.0
-    assert told[-1].sd["r1"] < 2e-4
-    assert abs(angle(2 * (told[-1].psi - np.interp(told[-1].t, run.t, run.psi)))) < 0.1
+    estimates = [t.estimate for t in replay(run.log, observer.make("shape", run.log.rig, outlines=[outline_of(body)]))]
+    assert estimates[-1].valid
+    assert estimates[-1].sd["psi"] > 1.0
+    assert estimates[-1].sd["r1"] < 2e-4
+    assert abs(angle(2 * (estimates[-1].psi - np.interp(estimates[-1].t, run.t, run.psi)))) < 0.1
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("friction", 12), ("rig", 13), ("friction", 15), ("rig", 16)])
@@ -132,8 +132,8 @@ def test_another_object_is_never_valid(kind, seed):
     assert watcher.identify(3.0).none > DECIDED
 
 
-def test_an_ellipse_that_is_nearly_the_same_is_told_from_it_within_a_second():
-    """Largest radii of 18.6 and 18.9 mm: friction is known to 2 %, so that it takes a second."""
+def test_a_similar_ellipse_is_distinguished_within_a_second():
+    """Largest radii of 18.6 and 18.9 mm; with friction known to 2 % this takes a second."""
     bodies, outlines = library("odd", 18, 2)
     run = run_with(bodies[0], "odd", 18, 3.0)
     watcher = observer.make("shape", run.log.rig, outlines=outlines[1:])
@@ -142,7 +142,7 @@ def test_an_ellipse_that_is_nearly_the_same_is_told_from_it_within_a_second():
     assert watcher.identify(3.0).none > DECIDED
 
 
-def test_a_much_larger_object_is_none_of_these():
+def test_a_much_larger_object_is_not_identified():
     body = body_of("friction", 7)
     outline = outline_of(body)
     small = replace(outline, h=outline.h * 0.8, rho=outline.rho * 0.8)
@@ -150,14 +150,14 @@ def test_a_much_larger_object_is_none_of_these():
     watcher = observer.make("shape", run.log.rig, outlines=[small])
     ticks = [(tick, watcher.identify(tick.t)) for tick in replay(run.log, watcher)]
     assert not any(tick.estimate.valid for tick, _ in ticks)
-    assert all(said is None or not said.best for _, said in ticks)
+    assert all(identification is None or not identification.best for _, identification in ticks)
 
 
-# ---- what it stands
+# ---- robustness
 
 
-def test_late_readings_change_next_to_nothing():
-    """Only where the bank has just been thinned out is a late one dropped instead of fused at its own time."""
+def test_late_readings_change_little():
+    """Just after the bank was thinned out, a late reading is dropped instead of being fused at its own time."""
     bodies, outlines = library("friction", 12, 2)
     run = run_with(bodies[0], "friction", 12, 3.0)
     events = list(run.log.events[:600])
@@ -185,7 +185,7 @@ def test_late_readings_change_next_to_nothing():
     assert p == pytest.approx(q, abs=0.01)
 
 
-def test_the_bank_has_an_upper_bound():
+def test_the_banks_size_is_limited():
     outlines = library("friction", 2, 6)[1]
     rig = run_with(library("friction", 12, 2)[0][0], "friction", 12, 3.0).log.rig
     assert Recogniser(outlines[:1], rig).filters.bank.full_size == MOST_STARTS

@@ -1,4 +1,4 @@
-"""Whether two records are of one object: joined where they overlap, left apart where they do not or are of another."""
+"""Whether two records are of the same object: joined only if they overlap and agree."""
 
 import math
 
@@ -30,8 +30,8 @@ def an_object():
     return prior.about + 0.7 * prior.scale * RANDOM.standard_normal(CONSTANTS)
 
 
-def felt(p, middle, width, sd=SD):
-    """What readings of h with one-sigma `sd` at normals within `width` (rad) about `middle` tell, and of ρ, μ, m."""
+def known_object(p, middle, width, sd=SD):
+    """Information from readings of h with this `sd` at normals within `width` (rad) of `middle`, and of ρ, μ, m."""
     theta = middle + np.linspace(-width, width, 60)
     rows = np.zeros((60, CONSTANTS))
     rows[:, C.SHAPE :] = shape.basis(theta, ORDER) / sd
@@ -52,9 +52,9 @@ def turned(p, by):
 
 
 @pytest.mark.parametrize("by", [0.0, 0.7, 3.0, -2.0])
-def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
+def test_overlapping_records_of_one_object_are_joined_at_the_right_rotation(by):
     p = an_object()
-    known, now = felt(p, 1.0, 1.5), felt(turned(p, by), 1.5 - by, 1.2)
+    known, now = known_object(p, 1.0, 1.5), known_object(turned(p, by), 1.5 - by, 1.2)
     found = matched(known, now, a_prior())
     assert found is not None
     assert math.remainder(found.turn - by, math.tau) == pytest.approx(0.0, abs=1e-3)
@@ -66,43 +66,43 @@ def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
     assert found.aligned.touched[int((1.0 - by) % math.tau / math.tau * NORMAL_BINS)]
 
 
-def test_the_turn_itself_is_not_told_by_what_was_known():
-    """Its gauge is open: what the joined record knows of the orientation comes from the overlap alone."""
-    known = felt(an_object(), 1.0, 3.0)
-    free, told = with_turn_marginalised(known.information)
+def test_the_earlier_record_gives_no_information_about_the_rotation():
+    """The gauge is free: the joined record's orientation is determined by the overlap alone."""
+    known = known_object(an_object(), 1.0, 3.0)
+    free, turn_information = with_turn_marginalised(known.information)
     along, h = np.zeros(CONSTANTS), 1e-6
     along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.information.about[C.SHAPE :] / (2 * h)
-    assert told > 1.0
+    assert turn_information > 1.0
     assert along @ free.matrix @ along < 1.1 * (math.tau / 240) ** -2
 
 
-def test_parts_that_do_not_overlap_are_left_apart():
+def test_records_without_overlap_are_not_joined():
     p = an_object()
-    assert matched(felt(p, 0.0, 0.4), felt(turned(p, 0.3), 2.5, 0.4), a_prior()) is None
+    assert matched(known_object(p, 0.0, 0.4), known_object(turned(p, 0.3), 2.5, 0.4), a_prior()) is None
 
 
 def test_another_object_is_not_joined():
     for _ in range(5):
-        assert matched(felt(an_object(), 1.0, 2.0), felt(an_object(), 1.2, 2.0), a_prior()) is None
+        assert matched(known_object(an_object(), 1.0, 2.0), known_object(an_object(), 1.2, 2.0), a_prior()) is None
 
 
-def test_a_circle_may_lie_anyhow():
+def test_records_of_a_circle_are_not_joined():
     p = a_prior().about.copy()
-    assert matched(felt(p, 1.0, 3.0), felt(p, 1.5, 3.0), a_prior()) is None
+    assert matched(known_object(p, 1.0, 3.0), known_object(p, 1.5, 3.0), a_prior()) is None
 
 
-def test_all_turns_at_once_are_weighed_as_each_by_itself():
+def test_weights_of_all_rotations_equal_single_evaluations():
     p = an_object()
-    known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).information.plus(a_prior())
+    known, rest = known_object(p, 1.0, 1.5), known_object(p, 1.5, 1.2).information.plus(a_prior())
     weights = _weights(known.information, rest)
     for number in (0, 17, 120):
-        free, told = with_turn_marginalised(known.turned(number * math.tau / 240).information)
-        wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(told) - math.log(240)
+        free, turn_information = with_turn_marginalised(known.turned(number * math.tau / 240).information)
+        wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(turn_information) - math.log(240)
         assert weights[number] == pytest.approx(wanted, rel=1e-9)
 
 
 def test_weights_are_gaussian_integrals():
-    """Against the integral by brute force in two dimensions."""
+    """Against numerical integration in two dimensions."""
     root = np.array([[3.0, 1.0], [0.5, 2.0]])
     factor = Factor(np.array([0.1, -0.2]), 1.3, root @ root.T, np.array([0.4, -0.3]), np.ones(2))
     grid = np.linspace(-4.0, 4.0, 801)

@@ -1,4 +1,4 @@
-"""What lies on a side is where geometry has it, and where forces and torques balance."""
+"""Pose and force balance of an object that lies on a side, against geometry."""
 
 import math
 
@@ -10,7 +10,7 @@ from palmd.observer.mode_model import SegmentReadings, SupportFrame, balance
 from palmd.observer.mode_segments import ModeSegment
 
 RIG = np.array([9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0])
-SEAT, SHARED = np.array([17e-3, 3e-3, -6e-3, 14e-3]), np.array([math.log(11e-3), 0.2, math.log(0.012)])
+MODE, SHARED = np.array([17e-3, 3e-3, -6e-3, 14e-3]), np.array([math.log(11e-3), 0.2, math.log(0.012)])
 H = 1e-4  # s, of differences
 
 
@@ -21,31 +21,31 @@ def palms(t):
 
 
 def world(t, palm):
-    """Centre of mass, points of contact, normals and tangents in the world, as complex numbers, by geometry alone."""
+    """Centre of mass, contact points, normals and tangents in the world, as complex numbers, by geometry alone."""
     phi1, phi2 = palms(t)[:2]
     hinge = 0.12 - 0.12 * np.exp(1j * phi1)
     along = np.exp(1j * np.array([phi1, phi1 + phi2]))
     normals = along * np.array([1j, -1j])
-    high, radius, away, height = SEAT
-    ridden, other = along[palm], along[1 - palm]
+    high, radius, away, height = MODE
+    support, other = along[palm], along[1 - palm]
     centre = (high * math.cos(phi2) + radius) / math.sin(phi2)
-    corner = hinge + centre * ridden + high * normals[palm]
-    com = hinge + (centre + away) * ridden + height * normals[palm]
-    return com, hinge, ridden, other, normals[palm], normals[1 - palm], corner - radius * normals[1 - palm]
+    corner = hinge + centre * support + high * normals[palm]
+    com = hinge + (centre + away) * support + height * normals[palm]
+    return com, hinge, support, other, normals[palm], normals[1 - palm], corner - radius * normals[1 - palm]
 
 
 @pytest.mark.parametrize("palm", [0, 1])
 def test_forces_and_torques_balance_in_the_world(palm):
     t = 0.7
     carried = SupportFrame.by(palm, palms(np.array([t])), RIG)
-    there = balance(SEAT, SHARED, carried, "averaged")
-    com, hinge, ridden, other, normal, other_normal, touched = world(t, palm)
+    there = balance(MODE, SHARED, carried, "averaged")
+    com, hinge, support, other, normal, other_normal, touched = world(t, palm)
     assert there.other[0] == pytest.approx(abs(touched - hinge), abs=1e-12)
     ahead, behind = world(t + H, palm)[0], world(t - H, palm)[0]
     acceleration = (ahead + behind - 2 * com) / H**2
 
     def slip(direction, joint, point):
-        """Of the object's material at `point` over the palm there, outwards."""
+        """Outward slip of the object's material at `point` over the palm there."""
         turned, rates = palms(t)[0] + joint * palms(t)[1], palms(t)[2:4]
         rate = rates[0] + joint * rates[1]
         own = rates[0] + palm * rates[1]
@@ -54,12 +54,12 @@ def test_forces_and_torques_balance_in_the_world(palm):
         assert abs(np.exp(1j * turned) - direction) < 1e-12
         return ((body - h - 1j * rate * (point - hinge)) * np.conj(direction)).real
 
-    stands = hinge + there.support[0] * ridden
+    stands = hinge + there.support[0] * support
     mu, dither = SHARED[1], math.exp(SHARED[2])
     force = 0j
     torque = 0.0
     for pressed, direction, joint, push, point in (
-        (there.support_force[0], ridden, palm, normal, stands),
+        (there.support_force[0], support, palm, normal, stands),
         (there.other_force[0], other, 1 - palm, other_normal, touched),
     ):
         u = slip(direction, joint, point)
@@ -71,29 +71,29 @@ def test_forces_and_torques_balance_in_the_world(palm):
     assert torque == pytest.approx(math.exp(2 * SHARED[0]) * turn, abs=1e-9)
 
 
-def test_what_rocks_is_left_out_and_nothing_else():
+def test_only_rocking_readings_are_excluded():
     t = np.arange(0.0, 3.0, 0.01)
-    on_ridden = np.arange(len(t)) % 2 == 0
+    on_support = np.arange(len(t)) % 2 == 0
     carried = SupportFrame.by(0, palms(t), RIG)
-    there = balance(SEAT, SHARED, carried)
-    s = np.where(on_ridden, there.support, there.other) + 1e-4 * np.random.default_rng(1).normal(size=len(t))
-    rocks = on_ridden & (t < 0.4)
+    there = balance(MODE, SHARED, carried)
+    s = np.where(on_support, there.support, there.other) + 1e-4 * np.random.default_rng(1).normal(size=len(t))
+    rocks = on_support & (t < 0.4)
     s[rocks] += 1e-3 * np.sin(60 * t[rocks])
-    ride = ModeSegment(0, 0.0, 3.0, SEAT[:2], 1e-10 * np.eye(2), excludes_disc=True)
-    lying = SegmentReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
-    kept = lying.still(SEAT, SHARED)
+    segment = ModeSegment(0, 0.0, 3.0, MODE[:2], 1e-10 * np.eye(2), excludes_disc=True)
+    lying = SegmentReadings(segment, t, s, np.full(len(t), 1e-4), on_support, carried)
+    kept = lying.still(MODE, SHARED)
     assert not kept[t < 0.35].any()
     assert kept[t > 0.7].all()
     assert len(lying.only(kept).t) == kept.sum()
 
 
-def test_a_ride_of_which_nothing_lies_still_in_the_end_tells_no_seat(monkeypatch):
+def test_a_segment_that_rocks_throughout_gives_no_mode_estimate(monkeypatch):
     monkeypatch.setattr(data_association, "ROUNDS", 1)
     t = np.arange(0.0, 1.0, 0.01)
-    on_ridden = np.arange(len(t)) % 2 == 0
+    on_support = np.arange(len(t)) % 2 == 0
     carried = SupportFrame.by(0, palms(t), RIG)
-    there = balance(SEAT, SHARED, carried)
-    s = np.where(on_ridden, there.support, there.other) + 4e-3 * np.sin(60 * t)
-    ride = ModeSegment(0, 0.0, 1.0, SEAT[:2], 1e-10 * np.eye(2), excludes_disc=True)
-    rocking = SegmentReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
+    there = balance(MODE, SHARED, carried)
+    s = np.where(on_support, there.support, there.other) + 4e-3 * np.sin(60 * t)
+    segment = ModeSegment(0, 0.0, 1.0, MODE[:2], 1e-10 * np.eye(2), excludes_disc=True)
+    rocking = SegmentReadings(segment, t, s, np.full(len(t), 1e-4), on_support, carried)
     assert data_association.mode_estimate(rocking, SHARED, np.array([0.2, 0.1, 0.4])) is None

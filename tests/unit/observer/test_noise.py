@@ -1,4 +1,4 @@
-"""The noise of readings is measured where it exceeds what is described, and only there."""
+"""The noise of readings is measured, and replaces the described noise only where it exceeds it."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ DESCRIBED = math.sqrt(RIG.pads[0].reading_variance)
 
 
 def samples(seed, noise, seconds=8.0, pad=1, force_noise=0.05, outliers=0.0, jitter=0.0):
-    """A contact that wanders by centimetres, read at irregular times."""
+    """A contact that moves over centimetres, read at irregular times."""
     random = np.random.default_rng(seed)
     t = np.cumsum(random.uniform(0.006, 0.014, int(seconds * 100)))
     stamped = t + jitter * random.standard_normal(len(t))
@@ -32,25 +32,25 @@ def samples(seed, noise, seconds=8.0, pad=1, force_noise=0.05, outliers=0.0, jit
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_readings_as_noisy_as_described_leave_the_description_as_it_is(seed):
+def test_readings_with_the_described_noise_leave_the_description_unchanged(seed):
     assert with_scatter(RIG, [*samples(seed, DESCRIBED), *samples(seed + 9, 0.3 * DESCRIBED, pad=2)]) == RIG
 
 
 @pytest.mark.parametrize("times", [1.5, 3.0, 8.0])
 @pytest.mark.parametrize("outliers", [0.0, 0.03])
-def test_what_scatters_more_is_noisier_by_that_and_the_other_pad_is_not(times, outliers):
+def test_a_noisier_pad_gets_its_measured_noise_and_the_other_pad_does_not(times, outliers):
     rig = with_scatter(RIG, [*samples(1, times * DESCRIBED, outliers=outliers), *samples(2, DESCRIBED, pad=2)])
     assert rig.pads[1] == RIG.pads[1]
     assert math.sqrt(rig.pads[0].reading_variance) / DESCRIBED == pytest.approx(times, rel=0.2)
 
 
-def test_stamps_that_jitter_are_noise_where_the_contact_moves():
+def test_time_stamp_jitter_is_noise_while_the_contact_moves():
     noisy = with_scatter(RIG, samples(3, DESCRIBED, jitter=3e-3)).pads[0]
     assert noisy.noise > 1.2 * RIG.pads[0].noise
 
 
 def in_batches(readings, phase=0.005):
-    """As an FTDI adapter delivers them and the pad's driver dates them: the last of a batch has just ended."""
+    """As an FTDI adapter delivers them and the pad's driver stamps them: the last one of a batch has just ended."""
     batches = {}
     for sample in readings:
         batches.setdefault(math.ceil((sample.t_sample - phase) / ADAPTER_S), []).append(sample)
@@ -62,7 +62,7 @@ def in_batches(readings, phase=0.005):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_stamps_of_an_adapter_are_found_out_and_those_of_a_pad_are_not(seed):
+def test_batched_time_stamps_of_an_adapter_are_detected(seed):
     readings = samples(seed, DESCRIBED)
     t, delivered = (np.array([sample.t_sample for sample in each]) for each in (readings, in_batches(readings)))
     assert not batched(t)
@@ -74,7 +74,7 @@ def test_stamps_of_an_adapter_are_found_out_and_those_of_a_pad_are_not(seed):
     assert pad.reading_variance >= 0.999 * (DESCRIBED**2 + pad.blur**2)
 
 
-def test_a_reading_of_an_adapter_is_as_uncertain_as_the_contact_moves():
+def test_batched_readings_have_a_variance_that_grows_with_contact_speed():
     readings = [*in_batches(samples(1, DESCRIBED)), *samples(2, DESCRIBED, pad=2)]
     readings.sort(key=lambda sample: sample.t_sample)
     rig = with_scatter(RIG, readings)
@@ -87,7 +87,7 @@ def test_a_reading_of_an_adapter_is_as_uncertain_as_the_contact_moves():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_batch_makes_readings_wrong_by_is_what_their_sd_says(seed):
+def test_errors_of_batched_readings_match_their_sd(seed):
     readings = samples(seed, DESCRIBED)
     delivered = in_batches(readings)
     pad = with_scatter(RIG, delivered).pads[0]
@@ -110,18 +110,18 @@ def test_a_run_in_batches_is_reconstructed_within_its_band(kind, seed):
     assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 3 * band
 
 
-def test_forces_that_shake_are_less_certain():
+def test_scattered_forces_get_a_larger_sd():
     shaken = with_scatter(RIG, samples(4, DESCRIBED, force_noise=0.2)).pads[0]
     assert shaken.force_scale_std == pytest.approx(0.2, rel=0.25)
     assert shaken == replace(RIG.pads[0], force_scale_std=shaken.force_scale_std)
 
 
-def test_a_few_readings_tell_no_noise():
+def test_a_few_readings_do_not_determine_the_noise():
     assert with_scatter(RIG, samples(5, 5 * DESCRIBED, seconds=0.3)) == RIG
 
 
-def test_a_run_with_heavy_tailed_noise_is_claimed_and_right():
-    """Three times as noisy as described, in the mean, with tails of Student's t: such a run was refused."""
+def test_a_run_with_heavy_tailed_noise_is_accepted_and_accurate():
+    """The noise is on average three times the described one, with Student's t tails; such a run was once rejected."""
     run, random = simulated("friction", 42, 10.0), np.random.default_rng(6)
     events = [
         replace(event, s=event.s + 1e-4 * float(random.standard_t(3))) if isinstance(event, PadSample) else event
@@ -135,7 +135,7 @@ def test_a_run_with_heavy_tailed_noise_is_claimed_and_right():
 
 
 @pytest.mark.parametrize("vibration", [0.3, 0.6])
-def test_a_table_that_shakes_is_no_reason_to_refuse_what_the_contacts_tell(vibration):
+def test_vibration_of_the_table_does_not_cause_a_rejection(vibration):
     """Forces scatter by a fifth more than described, or twice as much; contacts move by some micrometres."""
     run = simulated("friction", 42, 10.0, imperfections=Imperfections(vibration=vibration))
     answer = reconstruct(run.events, run.rig)

@@ -34,12 +34,12 @@ CORRUPT = {
 def _answers(events: tuple[Event, ...]) -> list[Improvement | Unexplained | None]:
     smoother = IncrementalSmoother(simulated("nominal", 3, SECONDS).rig)
     begun = min(e.t_sample for e in events if isinstance(e, PadSample))
-    told = []
+    answers = []
     for since in np.arange(0.0, SECONDS, 0.5):
         some = [e for e in events if since <= e.t_sample < since + 0.5]
         smoother.add(Session(1, begun), some)
-        told.append(smoother.result())
-    return told
+        answers.append(smoother.result())
+    return answers
 
 
 @pytest.mark.nightly
@@ -47,8 +47,8 @@ def _answers(events: tuple[Event, ...]) -> list[Improvement | Unexplained | None
 def test_corrupt_readings_are_rejected_with_a_reason(how: str) -> None:
     events = _pads(CORRUPT[how])
     assert all(isinstance(e, PadSample | PalmSample) for e in events)
-    told = reconstruct.reconstruct(events, simulated("nominal", 3, SECONDS).rig)
-    assert told.converged or told.reason
+    answers = reconstruct.reconstruct(events, simulated("nominal", 3, SECONDS).rig)
+    assert answers.converged or answers.reason
     _answers(events)
 
 
@@ -56,7 +56,7 @@ def _fails(*_: object, **__: object) -> None:
     raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 
-def test_a_factorisation_that_fails_drops_the_hypothesis_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_factorisation_is_reported_as_unexplained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(incremental.Initialiser, "search", _fails)
-    told = _answers(simulated("nominal", 3, SECONDS).events)
-    assert any(isinstance(each, Unexplained) for each in told)
+    answers = _answers(simulated("nominal", 3, SECONDS).events)
+    assert any(isinstance(each, Unexplained) for each in answers)

@@ -1,4 +1,4 @@
-"""What is kept of an object: at which orientations it would give the readings, and what is taken for it."""
+"""Memory of an object: orientations that match the readings, recognition, and recall of maps."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _known(sd: float = 2e-5, mass: float = 0.2) -> KnownObject:
 
 
 @pytest.mark.parametrize("psi", [0.3, 2.0, 4.4])
-def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) -> None:
+def test_orientations_that_match_the_readings_come_first(psi: float) -> None:
     known = _known()
     _, rows = shape.contact_rows(PALMS.angles[0] - psi, PALMS.angles[1])
     s1, s2 = rows @ known.x[Z.SHAPE :]
@@ -45,7 +45,7 @@ def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) ->
     assert off.min() < 1.5 * 2 * math.pi / DIRECTIONS
 
 
-def test_an_outline_is_the_same_within_what_was_believed_of_it() -> None:
+def test_outlines_match_within_their_uncertainty() -> None:
     known = _known()
     strayed = known.x.copy()
     sd = math.sqrt(known.prior_covariance()[-1, -1])
@@ -56,22 +56,22 @@ def test_an_outline_is_the_same_within_what_was_believed_of_it() -> None:
     assert not known.matches_outline(strayed)
     strayed = known.x.copy()
     strayed[[Z.PSI, Z.OMEGA0, Z.MU]] += 1.0
-    assert known.matches_outline(strayed), "how it lies and moves is not the outline"
+    assert known.matches_outline(strayed), "pose and motion are not part of the outline"
 
 
-def test_it_is_weighed_by_the_forces_of_an_object_at_rest() -> None:
+def test_objects_match_by_their_mass_at_rest() -> None:
     known = _known(mass=0.2)
     assert known.matches_mass(0.195)
     assert not known.matches_mass(0.23)
     assert known.matches_mass(math.nan)
     f1, f2 = resting_forces(9.81, np.array([0.7, 1.5]))
-    # balance in the world's axes: f1 n1 + f2 n2 carries the weight
+    # balance in world axes: f1 n1 + f2 n2 carries the weight
     n1, n2 = (-math.sin(0.7), math.cos(0.7)), (math.sin(2.2), -math.cos(2.2))
     assert f1 * n1[0] + f2 * n2[0] == pytest.approx(0.0, abs=1e-12)
     assert f1 * n1[1] + f2 * n2[1] == pytest.approx(9.81)
 
 
-def test_the_last_map_but_one_is_recalled() -> None:
+def test_the_second_last_map_is_recalled() -> None:
     memory, maps = ObjectMemory(), [_known(), _known(), _known()]
     assert memory.recall() is None
     assert memory.due(0.0)
@@ -84,7 +84,7 @@ def test_the_last_map_but_one_is_recalled() -> None:
     assert memory.recall() is None
 
 
-def test_marks_turn_with_the_gauge_of_the_leader() -> None:
+def test_coverage_marks_turn_with_the_leaders_gauge() -> None:
     named = np.zeros(18)
     named[[5, 7]] = 0.8, 1.6  # φ1, φ2
     marks = Coverage()
@@ -98,7 +98,7 @@ def test_marks_turn_with_the_gauge_of_the_leader() -> None:
     assert (marks.marks == np.roll(before, -6)).all()
 
 
-def test_all_that_lies_between_two_ticks_is_marked_and_told_as_a_share() -> None:
+def test_all_normals_between_two_ticks_are_marked_and_counted_as_a_share() -> None:
     named, marks, step = np.zeros(18), Coverage(), 2 * math.pi / NORMAL_BINS
     named[[5, 7]] = 0.8, 1.6
     for turned in (0, 0, 3, 3, -2):
@@ -106,13 +106,13 @@ def test_all_that_lies_between_two_ticks_is_marked_and_told_as_a_share() -> None
         marks.mark(1.0, 0, named, lambda: np.zeros(2))
         assert marks.fraction == np.count_nonzero(marks.marks) / NORMAL_BINS
     assert np.count_nonzero(marks.marks) == 2 * (3 + 1 + 2)
-    marks.renumber(np.array([5]))  # who led is gone, and what was marked in its gauge means nothing
+    marks.renumber(np.array([5]))  # the leader is gone, so that marks in its gauge are invalid
     marks.mark(2.0, 0, named, lambda: np.zeros(1))
     assert marks.fraction == np.count_nonzero(marks.marks) / NORMAL_BINS == 2 / NORMAL_BINS
 
 
-def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
-    """Else what was vouched for before would have to roll anew first."""
+def test_the_fixed_mode_test_is_restored_with_the_object() -> None:
+    """Otherwise a confirmed object would have to roll again before it is valid."""
     rig, track = RigDescription(), MagicMock()
     before, hypotheses = FixedModeTest(rig), ReturningObject(rig, MagicMock())
     hypotheses.candidate = replace(_known(), flat_side_test=before)

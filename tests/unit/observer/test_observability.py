@@ -1,4 +1,4 @@
-"""Observability: a number that falls when nothing can be learnt, and comes back with the motion."""
+"""Observability: a number that falls when nothing can be estimated and recovers with motion."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ STEP_S = 5e-4
 FIXED, VARIANCE = RigDescription(hinge="fixed"), 1.2e-8
 
 
-def test_it_is_prior_over_error_of_the_worst_told_combination() -> None:
-    """Two independent quantities with prior 2 and 3, told to 0.5 and 0.1: the first is told worse, 4-fold."""
-    told = np.diag([1 / 0.5**2, 1 / 0.1**2, 0.0])
-    assert scaled_singular_value(told, np.eye(3)[:2], np.array([2.0, 3.0, 1.0])) == pytest.approx(4.0)
-    # in other units, and for sum and difference: the same
+def test_it_is_the_least_ratio_of_prior_to_posterior_sd() -> None:
+    """Two independent quantities with prior sd 2 and 3, known to 0.5 and 0.1: the first has the smaller ratio, 4."""
+    information = np.diag([1 / 0.5**2, 1 / 0.1**2, 0.0])
+    assert scaled_singular_value(information, np.eye(3)[:2], np.array([2.0, 3.0, 1.0])) == pytest.approx(4.0)
+    # the same in other units, and for sum and difference
     turned = np.array([[1e3, 1e3, 0.0], [1.0, -1.0, 0.0]])
-    assert scaled_singular_value(told, turned, np.array([2.0, 3.0, 1.0])) == pytest.approx(4.0)
+    assert scaled_singular_value(information, turned, np.array([2.0, 3.0, 1.0])) == pytest.approx(4.0)
 
 
-def test_what_is_told_only_together_with_a_nuisance_is_told_less() -> None:
+def test_a_correlated_nuisance_parameter_reduces_it() -> None:
     row = np.array([[1.0, 1.0]])
     both = scaled_singular_value(1e8 * row.T @ row, np.eye(2)[:1], np.array([1.0, 1.0]))
-    assert both == pytest.approx(1.0, rel=1e-3), "half of the prior's variance is left"
+    assert both == pytest.approx(1.0, rel=1e-3), "half of the prior variance is left"
     alone = scaled_singular_value(1e8 * row.T @ row, np.eye(2)[:1], np.array([1.0, 0.0]))
     assert alone == pytest.approx(1e4, rel=1e-3)
 
 
-def test_nothing_told_is_zero_and_nonsense_is_nan() -> None:
+def test_no_information_gives_zero_and_nan_input_gives_nan() -> None:
     assert scaled_singular_value(np.zeros((3, 3)), np.eye(3)[:2], np.ones(3)) == 0.0
     assert math.isnan(scaled_singular_value(np.zeros((3, 3)), np.full((2, 3), math.nan), np.ones(3)))
 
@@ -68,14 +68,14 @@ def test_it_falls_at_rest_and_recovers_with_motion(observer_name, seed, kind) ->
 
 
 def _palms(t: float) -> PalmMotion:
-    """Both palms tilt as one: φ2 does not change."""
+    """Both palms tilt together: φ2 is constant."""
     k, amplitude = math.pi, 0.2 * min(t, 1.0) ** 2
     sin, cos = amplitude * math.sin(k * t), amplitude * math.cos(k * t)
     return PalmMotion((0.75 + sin, 1.6), (k * cos, 0.0), (-(k**2) * sin, 0.0))
 
 
 def _along(mu: float, seed: int) -> tuple[float, float]:
-    """Median of the number along the true trajectory of a plant, and the r.m.s. of θ̇1 (rad/s)."""
+    """Median of the number along a plant's true trajectory, and the r.m.s. of θ̇1 (rad/s)."""
     body, surface = random_body("nominal", np.random.default_rng(seed)), FrictionSurface(mu, 2e-3, 2e-4)
     hinge = Hinge("fixed", base=(0.0, 0.0))
     body = body.turned(stable_poses(body, _palms(0.0))[0])
@@ -86,9 +86,7 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     x = np.zeros(shape_map.N)
     x[Z.SHAPE :] = np.linalg.lstsq(shape.basis(theta), body.support.sample(theta), rcond=None)[0]
     x[Z.LN_RHO], x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = math.log(body.rho), mu, math.log(2e-3), 2e-4
-    rig = RigDescription(
-        hinge="fixed", vibration=AVERAGED
-    )  # as the plant: on palms that shake so weakly it would stick
+    rig = RigDescription(hinge="fixed", vibration=AVERAGED)  # as in the plant: on weakly vibrating palms it would stick
     fixed_lag = Observability(rig_inputs(rig), np.full(2, 1.2e-8))
     one, two = plant.contacts()
     start = blind_start((one.s, two.s), _palms(0.0), 8, True, np.random.default_rng(0))
@@ -119,7 +117,7 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
     assert sliding[0] > 2.5 * stuck[0]
 
 
-def begun() -> tuple[Observability, np.ndarray, np.ndarray]:
+def started() -> tuple[Observability, np.ndarray, np.ndarray]:
     """Observability from t = 0 on, the prior 1σ of the states, and a state."""
     fixed_lag = Observability(rig_inputs(FIXED), np.full(2, VARIANCE))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
@@ -129,17 +127,17 @@ def begun() -> tuple[Observability, np.ndarray, np.ndarray]:
     return fixed_lag, shape_map_sd(start), x
 
 
-def test_silent_pads_tell_nothing() -> None:
-    fixed_lag, prior_sd, x = begun()
+def test_silent_pads_give_zero() -> None:
+    fixed_lag, prior_sd, x = started()
     assert prior_sd[shape_map.Z.MU] == FRICTION_SD
     for k in range(60):
         fixed_lag.sample(k * 0.02, x, np.array([0.8, 1.6, 0.3, 0.2, 0.0, 0.0]), np.zeros(2))
     assert fixed_lag.value() == pytest.approx(0.0, abs=1e-6)
 
 
-def test_its_blocks_make_up_the_whole_window() -> None:
-    """Ten short blocks chained, against one long one: the same second, the same number."""
-    fixed_lag, prior_sd, x = begun()
+def test_chained_blocks_equal_one_long_block() -> None:
+    """Ten short blocks against one long block of the same second."""
+    fixed_lag, prior_sd, x = started()
     Z, kernels = shape_map.Z, {"aim": sensitivity.aim_function(), "gather": sensitivity.gather_function()}
     x[Z.SHAPE + 3] = 1e-3
     T, G, aim = np.eye(2, shape_map.N), np.zeros((shape_map.N,) * 2), None
@@ -160,8 +158,8 @@ def test_its_blocks_make_up_the_whole_window() -> None:
 
 
 def test_a_gap_between_samples_ends_the_window() -> None:
-    """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
-    fixed_lag, _, x = begun()
+    """Across a gap the trajectory is unknown: only later samples count, and the last number holds meanwhile."""
+    fixed_lag, _, x = started()
     x[shape_map.Z.SHAPE + 3] = 1e-3
 
     def run(t0: float, seconds: float) -> float:

@@ -1,4 +1,4 @@
-"""From coefficients and covariance to an outline with its band."""
+"""Outline and standard deviations from coefficients and their covariance."""
 
 import math
 
@@ -28,17 +28,17 @@ def test_coefficients_of_a_sampled_outline():
 
 
 def test_normals_at_the_contacts():
-    """(3.1)."""
+    """Equation (3.1)."""
     (normals,) = normal_angles(np.array([[0.7, 1.6]]), np.array([0.2]))
     assert normals == pytest.approx([0.7 - 0.2 - math.pi / 2, 0.7 + 1.6 - 0.2 - 3 * math.pi / 2])
 
 
-def test_touched_are_all_normals_that_were_passed():
+def test_all_normals_passed_by_a_contact_are_touched():
     touched = touched_by(np.column_stack([degrees(350, 362, 355), degrees(100, 100.2, 100.4)]))
     assert np.flatnonzero(touched).tolist() == [0, 1, 2, 100, *range(350, 360)]
 
 
-def test_the_band_is_what_is_left_after_the_best_rotation():
+def test_the_sd_is_that_after_the_best_rotation():
     """Against samples of the error, each rotated by least squares over the touched normals."""
     normals = np.column_stack([degrees(0, 40), degrees(150, 220)])
     outline = outline_of(COEFFICIENTS, COVARIANCE, [normals])
@@ -50,8 +50,8 @@ def test_the_band_is_what_is_left_after_the_best_rotation():
     assert outline.h_sd == pytest.approx((errors - slope[:, None] * turns).std(axis=1), rel=0.06)
 
 
-def test_an_error_of_orientation_alone_is_no_error_of_the_outline():
-    """h(θ + ε) has the coefficients' first-order change along h′: no band at all, however large its variance."""
+def test_an_error_of_orientation_alone_gives_no_sd():
+    """The first-order change of h(θ + ε) is along h′: no sd, however large its variance."""
     k = np.arange(1, ORDER + 1)
     turned = np.zeros_like(COEFFICIENTS)
     turned[1::2], turned[2::2] = k * COEFFICIENTS[2::2], -k * COEFFICIENTS[1::2]
@@ -61,7 +61,7 @@ def test_an_error_of_orientation_alone_is_no_error_of_the_outline():
     assert gauge_free_sd(theta, touched, COEFFICIENTS, np.outer(turned, turned)).max() < 1e-9
 
 
-def test_a_circle_and_an_untouched_outline_have_no_orientation_to_lose():
+def test_without_an_orientation_the_sd_is_the_plain_one():
     circle = np.zeros(2 * ORDER + 1)
     circle[0] = 0.02
     plain = np.sqrt(((basis(directions(), ORDER) @ ROOT) ** 2).sum(axis=1))
@@ -71,7 +71,7 @@ def test_a_circle_and_an_untouched_outline_have_no_orientation_to_lose():
 
 
 def _hollow(depth: float) -> tuple[np.ndarray, slice]:
-    """A belief of two other states and an outline whose least v is −depth (m)."""
+    """A belief of two other states and an outline whose smallest v is −depth (m)."""
     coefficients = np.zeros(25)
     coefficients[0] = 0.02
     coefficients[3] = (0.02 + depth) / 3.0  # v = a0 + (1 − 2²) a2 cos 2θ
@@ -84,19 +84,19 @@ def _least_curvature(x: np.ndarray, at: slice) -> float:
     return float((rows @ x[at]).min())
 
 
-def test_a_hollow_outline_is_made_convex_by_what_is_not_known_of_it() -> None:
+def test_a_concave_outline_is_made_convex_within_its_uncertainty() -> None:
     x, at = _hollow(1e-3)
     P = np.diag(np.concatenate([[1.0, 1.0], np.full(25, 3e-4) ** 2]))
     before = np.diagonal(P).copy()
     assert _least_curvature(x, at) < -0.9e-3
     assert outline.made_convex(x, P, at)
-    assert _least_curvature(x, at) > -2e-5  # between the directions looked at
+    assert _least_curvature(x, at) > -2e-5  # between the constrained directions
     assert x[0] == 1.0
     assert np.all(np.diagonal(P) <= before)
     assert np.linalg.eigvalsh(P).min() > -1e-18
 
 
-def test_a_convex_outline_is_left_alone() -> None:
+def test_a_convex_outline_is_unchanged() -> None:
     x, at = _hollow(-5e-3)
     P = np.eye(27) * 1e-8
     assert outline.made_convex(x, P, at)
@@ -104,6 +104,6 @@ def test_a_convex_outline_is_left_alone() -> None:
     np.testing.assert_array_equal(P, np.eye(27) * 1e-8)
 
 
-def test_what_is_known_for_sure_to_be_hollow_cannot_be_mended() -> None:
+def test_an_exactly_known_concave_outline_cannot_be_made_convex() -> None:
     x, at = _hollow(1e-3)
     assert not outline.made_convex(x, np.zeros((27, 27)), at)

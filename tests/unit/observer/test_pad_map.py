@@ -36,7 +36,7 @@ def read(path: Path, lines: list[dict[str, object]]) -> EventLog:
 
 
 def error_of_place(rng: np.random.Generator) -> Callable[[float], float]:
-    """Two waves, `A_M` in the mean square."""
+    """Two waves with mean square `A_M`²."""
     waves = [(length, rng.uniform(0, math.tau), rng.standard_normal()) for length in WAVES_M]
     size = A_M / math.sqrt(sum(share**2 for *_, share in waves) / 2)
     return lambda s: size * sum(share * math.cos(math.tau * s / length + phase) for length, phase, share in waves)
@@ -55,14 +55,14 @@ def coloured(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventLog, Truth]
 
 
 def sigmas(answer: Reconstruction, truth: Truth) -> float:
-    """Root mean square error of what was touched, in one-sigmas."""
+    """Root mean square error of the touched outline in one-sigmas."""
     found = outline_errors(answer, truth)
     assert found is not None
     at = found.touched
     return float(np.sqrt(np.mean((found.error[at] / found.h_sd[at]) ** 2)))
 
 
-def test_an_error_that_repeats_with_the_place_is_in_the_band(coloured: tuple[EventLog, Truth]) -> None:
+def test_a_repeatable_error_of_place_is_in_the_band(coloured: tuple[EventLog, Truth]) -> None:
     log, truth = coloured
     unaware = reconstruct(log.events, log.rig.with_pads(map_sd=0.0))
     aware = reconstruct(log.events, log.rig.with_pads(map_sd=A_M))
@@ -72,9 +72,9 @@ def test_an_error_that_repeats_with_the_place_is_in_the_band(coloured: tuple[Eve
 
 
 @pytest.mark.nightly
-def test_a_map_that_pads_do_not_have_costs_little(tmp_path: Path) -> None:
-    lines, told = simulate_log("nominal", 9001, 10.0, calibration_sd=AS_CALIBRATED)
-    log, truth = read(tmp_path / "run.jsonl", lines), truth_of(told)
+def test_an_unnecessary_map_widens_the_bands_little(tmp_path: Path) -> None:
+    lines, truth_fields = simulate_log("nominal", 9001, 10.0, calibration_sd=AS_CALIBRATED)
+    log, truth = read(tmp_path / "run.jsonl", lines), truth_of(truth_fields)
     plain, mapped = (reconstruct(log.events, log.rig.with_pads(map_sd=a)) for a in (0.0, A_M))
     assert mapped.converged
     assert sigmas(mapped, truth) < 2.0
@@ -82,7 +82,7 @@ def test_a_map_that_pads_do_not_have_costs_little(tmp_path: Path) -> None:
     assert bands[0] < bands[1] < 1.25 * bands[0]
 
 
-def test_a_log_says_what_is_left_of_the_error_of_place(tmp_path: Path) -> None:
+def test_a_log_carries_the_remaining_error_of_place(tmp_path: Path) -> None:
     lines, _ = simulate_log("nominal", 9001, 0.2)
     log = read(tmp_path / "run.jsonl", lines)
     rig = log.rig.with_pads(map_sd=A_M, map_length=4e-3)
@@ -94,7 +94,7 @@ def test_a_log_says_what_is_left_of_the_error_of_place(tmp_path: Path) -> None:
 
 
 def laid(rig: RigDescription, places: FloatArray) -> Record:
-    """Readings of pad 1 at these places, of which pad 2 has one here and there."""
+    """Readings of pad 1 at these places, with a few of pad 2."""
     times = 0.01 * np.arange(len(places))
     samples = [PadSample(float(t), 1, float(s), 1.0) for t, s in zip(times, places, strict=True)]
     samples += [PadSample(float(t) + 0.001, 2, 0.02, 1.0) for t in times[::5]]
@@ -120,12 +120,12 @@ def test_the_map_has_the_covariance_of_the_error_of_place() -> None:
     mine = mapped.contact_pad == 1
     found = mapped.contact_map[mine] @ mapped.contact_map[mine].T
     wanted = A_M**2 * np.exp(-0.5 * np.subtract.outer(places, places) ** 2 / length**2)
-    # the pad's zero and scale take a part of it
+    # the pad's zero and scale take part of it
     assert found == pytest.approx(wanted, abs=0.3 * A_M**2)
     picked, contrast = (
         np.ix_([5, 20, 35], [5, 20, 35]),
         np.array([1.0, -2.0, 1.0]),
-    )  # of no zero, no scale
+    )  # without zero and scale
     missing = contrast @ (wanted - found)[picked] @ contrast
     left = mapped.contact_variance[mine].max() - PadSensor().reading_variance
     assert 0.0 <= missing <= contrast @ contrast * left
@@ -133,7 +133,7 @@ def test_the_map_has_the_covariance_of_the_error_of_place() -> None:
 
 
 @pytest.mark.parametrize("length", [1e-7, 5e-5, 5e-4, 3e-3, 0.5])
-def test_any_length_of_correlation_leaves_a_problem_that_can_be_solved(length: float) -> None:
+def test_any_correlation_length_gives_a_solvable_problem(length: float) -> None:
     rig = RigDescription().with_pads(map_sd=A_M, map_length=length)
     searched, mapped = problem(rig, np.linspace(0.02, 0.03, 40))
     assert np.isfinite(mapped.contact_map).all()

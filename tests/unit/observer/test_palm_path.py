@@ -1,4 +1,4 @@
-"""The palms' motion smoothed over a whole record, against the motion that was."""
+"""The palms' motion smoothed over a whole record, against the true motion."""
 
 import math
 from dataclasses import replace
@@ -31,7 +31,7 @@ def true_motion(times):
     return np.array([[*p.angles, *p.rates, *p.accelerations] for p in plans])
 
 
-def untold(sample, rates=False):
+def without_plan(sample, rates=False):
     plan = {} if rates else {"rates": None}
     return replace(sample, accelerations=None, **plan)
 
@@ -40,12 +40,12 @@ def untold(sample, rates=False):
     ("known", "angle", "rate", "acceleration"),
     [
         (lambda sample: sample, 5e-5, 5e-4, 1e-2),
-        (lambda sample: untold(sample, rates=True), 6e-5, 1.2e-3, 0.2),
-        (untold, 1.6e-4, 1e-2, 0.8),
+        (lambda sample: without_plan(sample, rates=True), 6e-5, 1.2e-3, 0.2),
+        (without_plan, 1.6e-4, 1e-2, 0.8),
     ],
-    ids=["plan told", "rates told", "angles only"],
+    ids=["with plan", "with rates", "angles only"],
 )
-def test_it_is_nearer_to_the_motion_than_the_reports_are(known, angle, rate, acceleration):
+def test_the_smoothed_motion_is_more_accurate_than_the_reports(known, angle, rate, acceleration):
     error = smoothed_path([known(sample) for sample in reports()], NOISE).at(MEANWHILE) - true_motion(MEANWHILE)
     easing_in = MEANWHILE < 1.2  # where the plan's jerk is greatest
     for part in (error[easing_in], error[~easing_in]):
@@ -53,13 +53,13 @@ def test_it_is_nearer_to_the_motion_than_the_reports_are(known, angle, rate, acc
         assert (rms < [angle, rate, acceleration]).all(), rms
 
 
-def test_a_gap_is_crossed_on_a_quintic():
+def test_a_gap_is_bridged_by_a_quintic():
     kept = [sample for sample in reports() if not 2.0 < sample.t_sample < 2.29]
     error = smoothed_path(kept, NOISE).at(MEANWHILE) - true_motion(MEANWHILE)
     assert np.abs(error[:, :2]).max() < 2.5e-4
 
 
-def test_angle_rate_and_acceleration_belong_together_between_the_reports():
+def test_angle_rate_and_acceleration_are_consistent_between_reports():
     path = smoothed_path(list(reports()), NOISE)
     t, step = np.array([1.003, 2.5, 3.333]), 1e-5
     before, at, after = path.at(t - step), path.at(t), path.at(t + step)
@@ -68,18 +68,18 @@ def test_angle_rate_and_acceleration_belong_together_between_the_reports():
     assert slope[:, 2:4] == pytest.approx(at[:, 4:], abs=1e-6)
 
 
-def test_at_the_reports_it_is_the_smoothed_state():
+def test_at_the_reports_the_path_equals_the_smoothed_state():
     path = smoothed_path(list(reports()), NOISE)
     assert path.at(path.t) == pytest.approx(path.state.reshape(-1, 6), abs=1e-9)
 
 
-def test_outside_the_reports_the_acceleration_stays():
+def test_outside_the_reports_the_acceleration_is_constant():
     path = PalmPath(np.array([1.0]), np.array([[[0.7, 1.6], [0.2, -0.1], [2.0, 0.0]]]))
     (at,) = path.at(np.array([1.5]))
     assert at == pytest.approx([0.7 + 0.1 + 0.25, 1.6 - 0.05, 1.2, -0.1, 2.0, 0.0])
 
 
-def test_one_report_is_enough_and_none_is_not():
+def test_one_report_is_sufficient_and_none_is_refused():
     (at,) = smoothed_path([PalmSample(0.0, (0.7, 1.6))], NOISE).at(np.array([0.0]))
     assert at[:2] == pytest.approx([0.7, 1.6], abs=1e-6)
     assert math.hypot(*at[2:]) == 0.0
@@ -87,15 +87,15 @@ def test_one_report_is_enough_and_none_is_not():
         smoothed_path([], NOISE)
 
 
-def now_and_then(samples):
-    """A plan that is told in part, and reports that come irregularly."""
-    forms = (lambda sample: sample, untold, lambda sample: untold(sample, rates=True))
+def irregular(samples):
+    """Reports at irregular times, some without the plan's rates and accelerations."""
+    forms = (lambda sample: sample, without_plan, lambda sample: without_plan(sample, rates=True))
     kept = [sample for k, sample in enumerate(samples) if k % 7 or k % 3]
     return [forms[k // 20 % 3](sample) for k, sample in enumerate(kept)]
 
 
-def test_what_is_compiled_is_the_twins(monkeypatch):
-    samples = now_and_then(list(reports()))
+def test_compiled_smoothing_agrees_with_numpy(monkeypatch):
+    samples = irregular(list(reports()))
     got = smoothed_path(samples, NOISE).state
     monkeypatch.setattr(palm_path, "_smoothing", lambda: smoothed_plainly)
     np.testing.assert_allclose(got, smoothed_path(samples, NOISE).state, rtol=1e-9, atol=1e-10)

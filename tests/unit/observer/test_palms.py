@@ -1,4 +1,4 @@
-"""The palms' motion between reports, and how far its error bars can be believed."""
+"""The palms' motion between reports, and the consistency of its error bars."""
 
 import math
 
@@ -14,7 +14,7 @@ NOISE = 2e-4
 REPORT_S, ROUNDED_S = 0.016, 0.024
 
 
-def told(duration, way=1.0, pause=0.2, count=12):
+def planned_motion(duration, way=1.0, pause=0.2, count=12):
     """Moves to and fro with pauses: the plan's angle, rate and acceleration at any time."""
     there, back = Move((0.5, 1.5), (0.5 + way, 1.5), duration), Move((0.5 + way, 1.5), (0.5, 1.5), duration)
 
@@ -26,8 +26,8 @@ def told(duration, way=1.0, pause=0.2, count=12):
 
 
 def normalised(duration, age=0.012, seed=3):
-    """Squared errors of angle and rate over their variance, `age` after each report of palms that round it off."""
-    at, seconds = told(duration)
+    """Squared errors of angle and rate over their variance, `age` after each report of palms that smooth the plan."""
+    at, seconds = planned_motion(duration)
     random = np.random.default_rng(seed)
 
     def really(t):
@@ -52,13 +52,13 @@ def normalised(duration, age=0.012, seed=3):
 
 
 @pytest.mark.parametrize("duration", [0.7, 1.0, 3.0])
-def test_its_error_bars_hold_on_brisk_moves_of_an_arm_that_rounds_them_off(duration):
+def test_error_bars_hold_for_an_arm_that_smooths_fast_moves(duration):
     angle, rate = normalised(duration)
     assert 0.1 < angle < 3.0
     assert rate < 3.0
 
 
-def test_standing_palms_are_as_sharp_as_their_reports():
+def test_palms_at_rest_have_the_reports_accuracy():
     tracker = PalmTracker(NOISE)
     for number in range(200):
         tracker.feed(PalmSample(number * REPORT_S, (0.5, 1.5), (0.0, 0.0), (0.0, 0.0)))
@@ -68,12 +68,12 @@ def test_standing_palms_are_as_sharp_as_their_reports():
     assert math.isfinite(tracker.at(tracker.t + 0.01)[0])
 
 
-def test_what_rounded_goals_do_to_the_palms_is_as_much_as_is_told():
-    """Servos follow goals of whole counts, each 10 ms, and lag: rates that no report tells come of it."""
+def test_the_variance_of_rounded_set_points_matches_their_errors():
+    """Servos follow set-points in whole counts, every 10 ms, with lag: this causes rates that no report contains."""
     count, lag_s, step_s = math.tau / 4096, 0.010, 1e-3
     rig = RigDescription(goal_rounding=count)
     tracker, squares, random = PalmTracker(7e-4), [], np.random.default_rng(4)
-    really = np.zeros((2, 3))  # each palm's own direction after none, one and two lags
+    really = np.zeros((2, 3))  # each palm's own direction after zero, one and two lags
     for k in range(4000):
         t = k * step_s
         meant = 0.8 + 0.3 * np.sin([1.1 * t, 1.7 * t])
@@ -89,7 +89,7 @@ def test_what_rounded_goals_do_to_the_palms_is_as_much_as_is_told():
             now = tracker.at(t)
             squares.append([((now[:2] - joints) / angle_sd) ** 2, ((now[2:4] - turning) / rate_sd) ** 2])
         if k % 10 == 0:
-            behind = t - 2 * lag_s - 5 * step_s  # the plan as it is carried out
+            behind = t - 2 * lag_s - 5 * step_s  # the plan as executed
             rate = np.array([0.33 * np.cos(1.1 * behind), 0.51 * np.cos(1.7 * behind)])
             bend = np.array([-0.363 * np.sin(1.1 * behind), -0.867 * np.sin(1.7 * behind)])
             seen = joints + 7e-4 * random.standard_normal(2)
@@ -99,7 +99,7 @@ def test_what_rounded_goals_do_to_the_palms_is_as_much_as_is_told():
     assert 0.3 < rate < 2.0
 
 
-def test_readings_repeat_one_another_while_the_palms_rest():
+def test_readings_count_as_repeated_while_the_palms_rest():
     tracker = PalmTracker(2e-4)
     assert tracker.repeated == 1.0
     for k in range(200):

@@ -1,6 +1,7 @@
-"""Input that tells no outline of a pivoting body: said in words live, and no shape is claimed.
+"""Input that does not determine a pivoting body's outline: reported live, and no shape is accepted.
 
-What whole logs are refused for is in `test_pivot_reconstruct`."""
+`test_pivot_reconstruct` tests the rejection of whole logs.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +27,7 @@ def good():
 
 
 def arms(events, **changes):
-    """The same readings, the arm's place told otherwise."""
+    """The same readings with other reports of the arm's place."""
     return [
         replace(each, **{name: change(each) for name, change in changes.items()})
         if isinstance(each, GripperSample)
@@ -66,7 +67,7 @@ CASES = [
 NAMES = [case[0].__name__ for case in CASES]
 
 
-def test_from_a_whole_log_too_no_pivot_lies_outside_its_body(good):
+def test_a_whole_log_with_the_pivot_outside_the_body_is_rejected(good):
     rig, events = good
     answer = reconstruct(outside_the_body(events), rig)
     assert not answer.converged
@@ -75,11 +76,11 @@ def test_from_a_whole_log_too_no_pivot_lies_outside_its_body(good):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("spoilt", "said"), CASES, ids=NAMES)
-def test_live_it_is_said_and_no_shape_is_claimed(good, spoilt, said):
+@pytest.mark.parametrize(("corrupt", "message"), CASES, ids=NAMES)
+def test_live_the_reason_is_given_and_no_shape_is_accepted(good, corrupt, message):
     rig, events = good
     live = PivotObserver(rig, SimulatedSmoothing(rig, PERIOD_S))
-    waiting = sorted(spoilt(events), key=lambda event: event.t_sample)
+    waiting = sorted(corrupt(events), key=lambda event: event.t_sample)
     reasons = set()
     for tick in range(1, round((waiting[-1].t_sample + 1.0) / TICK_S)):
         t = tick * TICK_S
@@ -90,10 +91,10 @@ def test_live_it_is_said_and_no_shape_is_claimed(good, spoilt, said):
         assert not estimate.valid
         assert live.shape(t) is None
         reasons.add(estimate.reason)
-    assert any(said in reason for reason in reasons), reasons
+    assert any(message in reason for reason in reasons), reasons
 
 
-def test_what_is_good_is_claimed_live(good):
+def test_good_input_is_accepted_live(good):
     rig, events = good
     live = PivotObserver(rig, SimulatedSmoothing(rig, PERIOD_S))
     last = events[-1].t_sample

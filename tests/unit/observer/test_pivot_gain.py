@@ -1,4 +1,4 @@
-"""What a pad's forces are off by all together, and how an arm follows its plan."""
+"""Common error of a pad's forces, and how an arm follows its plan."""
 
 from dataclasses import replace
 
@@ -24,12 +24,12 @@ def record_of(t, force, std=STD):
     return PivotRecord(rig, (TouchSpan(t[0], t[-1], 0, 10),), rows, rows, rows, rows)
 
 
-def test_forces_that_share_no_gain_have_no_modes():
+def test_forces_without_a_common_gain_error_have_no_modes():
     t = np.linspace(0.0, 10.0, 100)
     assert gain_modes(record_of(t, np.ones(100), std=0.0)).shape == (100, 0)
 
 
-def test_forces_near_in_time_are_off_by_the_same_share():
+def test_forces_near_in_time_share_their_relative_error():
     t = np.linspace(0.0, 60.0, 61)
     modes = gain_modes(record_of(t, np.ones(61)))
     covariance = modes @ modes.T
@@ -37,7 +37,7 @@ def test_forces_near_in_time_are_off_by_the_same_share():
     assert covariance[0, 20] == pytest.approx(STD**2 * np.exp(-20.0 / DRIFT_S), rel=0.05)
 
 
-def test_the_pad_falls_behind_a_force_that_rises_and_one_that_falls():
+def test_hysteresis_lags_behind_rising_and_falling_forces():
     t = np.linspace(0.0, 10.0, 101)
     force = 1.0 - 0.1 * np.abs(t - 5.0)
     behind = gain_modes(record_of(t, force), force)[:, -1]
@@ -45,7 +45,7 @@ def test_the_pad_falls_behind_a_force_that_rises_and_one_that_falls():
     assert behind[-40:] == pytest.approx(HYSTERESIS)
 
 
-def test_an_arm_that_lags_and_rounds_its_corners_is_told_so():
+def test_an_arms_lag_and_smoothing_are_identified():
     t = np.arange(0.0, 20.0, 0.016)
     x, v, a = 0.02 + 1e-3 * np.sin(12 * t), 1.2e-2 * np.cos(12 * t), -0.144 * np.sin(12 * t)
     lag, rounding = 2e-3, 1e-4
@@ -59,7 +59,7 @@ def test_an_arm_that_lags_and_rounds_its_corners_is_told_so():
     assert np.abs(path.at(middle)[1] - true_v[100:-100]).max() < 3e-5
 
 
-def test_what_is_told_too_badly_is_not_claimed_live():
+def test_an_outline_with_a_large_sd_is_not_accepted_live():
     found = replace(reconstruct((), PivotRig()), converged=True, outline_sd_m=2.0 * ACCEPTED_M)
     answer = answer_of(found, 1.0)
     assert not answer.accepted

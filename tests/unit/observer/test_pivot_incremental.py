@@ -1,4 +1,4 @@
-"""The smoother of a slide: what was felt before the body was set down is forgotten, and an outline must come twice."""
+"""The smoother of a slide: readings before the set-down are discarded, and an outline must be found twice."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ FOUND = replace(
 )  # fmt: skip
 
 
-def felt(begin, end):
+def contact_readings(begin, end):
     return [PadSample(t, 1, 0.02, 1.0) for t in np.arange(begin, end, 0.01)]
 
 
 @pytest.fixture
 def smoother(monkeypatch):
-    """Finds what `smoother.finds` says; it notes what it was given."""
+    """Returns `smoother.finds` and records its input."""
     smoother = IncrementalPivotSmoother(SLIDE)
     smoother.finds, smoother.given = FOUND, []
 
@@ -41,33 +41,33 @@ def smoother(monkeypatch):
     return smoother
 
 
-def test_an_outline_is_claimed_when_it_comes_again_from_more_readings(smoother):
-    smoother.add(felt(0.0, 4.0))
+def test_an_outline_is_accepted_when_more_readings_confirm_it(smoother):
+    smoother.add(contact_readings(0.0, 4.0))
     assert "once more readings confirm it" in smoother.answer().reason
-    smoother.add(felt(4.0, 4.0 + AGREE_S / 2))
+    smoother.add(contact_readings(4.0, 4.0 + AGREE_S / 2))
     assert not smoother.answer().accepted
-    smoother.add(felt(4.0 + AGREE_S / 2, 4.1 + AGREE_S))
+    smoother.add(contact_readings(4.0 + AGREE_S / 2, 4.1 + AGREE_S))
     assert smoother.answer().accepted
 
 
-def test_another_outline_begins_anew(smoother):
-    smoother.add(felt(0.0, 4.0))
+def test_another_outline_restarts_the_confirmation(smoother):
+    smoother.add(contact_readings(0.0, 4.0))
     smoother.answer()
     smoother.finds = replace(FOUND, h=OTHER)
-    smoother.add(felt(4.0, 9.0))
+    smoother.add(contact_readings(4.0, 9.0))
     assert not smoother.answer().accepted
-    smoother.finds = replace(FOUND, h=np.roll(OTHER, 30))  # counted from elsewhere, it is the same
-    smoother.add(felt(9.0, 14.0))
+    smoother.finds = replace(FOUND, h=np.roll(OTHER, 30))  # the same outline with another starting angle
+    smoother.add(contact_readings(9.0, 14.0))
     assert smoother.answer().accepted
 
 
-def test_what_was_felt_before_it_was_set_down_is_forgotten(smoother):
-    smoother.add([*felt(0.0, 5.0), *felt(6.0, 10.0)])
+def test_readings_before_the_set_down_are_discarded(smoother):
+    smoother.add([*contact_readings(0.0, 5.0), *contact_readings(6.0, 10.0)])
     smoother.answer()
     assert smoother.given[0].t_sample == 6.0
 
 
-def test_the_stop_is_not_taken_for_the_pivot():
+def test_the_stops_height_is_not_used_as_the_pivots():
     sample = PalmSample(1.0, (0.02, 0.03), (0.01, -0.02), (0.1, 0.2))
     assert (to_log_event(sample, slides=False).vz, to_log_event(sample, slides=True).vz) == (-0.02, None)
     assert to_log_event(sample, slides=True).vx == 0.01

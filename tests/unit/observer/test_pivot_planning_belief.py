@@ -1,4 +1,4 @@
-"""What a gripper that drags goes by: measured while it moves."""
+"""The planning belief of a dragging gripper, measured while it moves."""
 
 import math
 
@@ -12,7 +12,7 @@ from palmd.system.pivot import PAD, PivotRig
 SPEED_M_S, LEVER_M, HEIGHT_M = -0.014, 5e-3, 0.02
 
 
-def test_the_lever_is_that_of_each_reading_however_fast_the_gripper_goes():
+def test_the_lever_is_that_of_each_reading_at_any_gripper_speed():
     rig = PivotRig()
     observer = PivotObserver(rig, SimulatedSmoothing(rig, math.inf))
     for k in range(40):
@@ -20,6 +20,6 @@ def test_the_lever_is_that_of_each_reading_however_fast_the_gripper_goes():
         x = 0.03 + SPEED_M_S * t
         observer.feed(PalmSample(t, (x, HEIGHT_M), (SPEED_M_S, 0.0), (0.0, 0.0)))
         observer.feed(PadSample(t + 0.004, PAD, x + SPEED_M_S * 0.004 + LEVER_M, 0.5))
-    felt = observer.planning_belief(t + 0.02)
-    assert felt.e == pytest.approx(LEVER_M, abs=1e-6)
-    assert felt.force == 0.5
+    belief = observer.planning_belief(t + 0.02)
+    assert belief.e == pytest.approx(LEVER_M, abs=1e-6)
+    assert belief.force == 0.5

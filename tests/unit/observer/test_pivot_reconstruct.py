@@ -1,4 +1,4 @@
-"""Reconstruction of a pivoting grasp: what it forgives, what it refuses and in which words; paths, splines, starts."""
+"""Reconstruction of a pivoting grasp: tolerated errors, rejections with their reasons, and its parts."""
 
 import math
 from dataclasses import replace
@@ -51,25 +51,25 @@ def error_of(answer, truth):
     return score_outline(answer.theta, answer.h, answer.touched, np.array(truth["hP_m"])).e_h
 
 
-# ------------------------------------------------------------------------------------------------- what is forgiven
+# ------------------------------------------------------------------------------------------------ what is tolerated
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "off", [PivotImperfections(outliers=0.1), PivotImperfections(gaps=4), PivotImperfections(noise=2.0)], ids=repr
 )
-def test_spoilt_readings_spoil_no_outline(off):
+def test_outliers_gaps_and_noise_are_tolerated(off):
     rig, events, truth = run_of("tilt", flaws=off)
     assert error_of(reconstruct(events, rig), truth) < 6e-5
 
 
-def test_without_a_plan_the_positions_do(tilt):
+def test_positions_without_a_plan_are_sufficient(tilt):
     rig, events, truth = tilt
     bare = arms(events, lambda arm: replace(arm, vx=None, ax=None, vz=None, az=None))
     assert error_of(reconstruct(bare, rig), truth) < 6e-5
 
 
-def test_bands_are_wider_on_a_rig_that_is_known_less_well(tilt):
+def test_bands_are_wider_on_a_less_well_known_rig(tilt):
     rig, events, truth = tilt
     sure = reconstruct(events, rig)
     doubting = reconstruct(events, rig.known_to({"standoff_sd": 2e-4}))
@@ -79,7 +79,7 @@ def test_bands_are_wider_on_a_rig_that_is_known_less_well(tilt):
     assert np.median(doubting.h_sd[doubting.touched]) == pytest.approx(2e-4, rel=0.2)
 
 
-# --------------------------------------------------------------------------------------------------- what is refused
+# -------------------------------------------------------------------------------------------------- what is rejected
 
 
 def refused(events, rig):
@@ -89,47 +89,47 @@ def refused(events, rig):
     return answer.reason
 
 
-def test_one_side_of_the_dead_centre_is_no_shape(tilt):
+def test_one_side_of_the_dead_centre_is_rejected(tilt):
     rig, events, _ = tilt
     first = [event for event in events if event.t_sample < 5.4]
     assert refused(first, rig).startswith("only one side of the dead centre was touched")
 
 
-def test_a_constant_height_tells_nothing(tilt):
+def test_a_constant_height_is_rejected(tilt):
     rig, events, _ = tilt
     flat = arms(events, lambda arm: replace(arm, z=0.02, vz=0.0, az=0.0))
     assert "the pivot's height hardly changes (0.00 mm)" in refused(flat, rig)
 
 
 @pytest.mark.nightly
-def test_heights_that_contradict_the_readings(slide):
-    """Of a rigid gripper: see `test_pivot_bad_input`."""
+def test_heights_that_contradict_the_readings_are_rejected(slide):
+    """For a rigid gripper see `test_pivot_bad_input`."""
     rig, events, _ = slide
     higher = arms(events, lambda arm: replace(arm, z=arm.z + 0.008))
-    assert "contradict the readings" in refused(higher, rig)  # a body that rolls knows its radius
+    assert "contradict the readings" in refused(higher, rig)  # a rolling body's radius is known
 
 
-def test_without_force_the_sides_do_not_belong_together(tilt):
+def test_a_log_without_forces_is_rejected(tilt):
     rig, events, _ = tilt
     assert refused(pads(events, lambda pad: replace(pad, force=None)), rig).startswith("the pad gives no force")
 
 
 @pytest.mark.nightly
-def test_two_objects_are_not_one(tilt):
+def test_a_log_of_two_objects_is_rejected(tilt):
     rig, events, _ = tilt
     other = run_of("tilt", SEED + 1)[1]
     both = [each for each in events if each.t_sample < 6.0] + [each for each in other if each.t_sample >= 6.0]
     assert refused(both, rig)
 
 
-def test_what_is_missing_is_said(tilt, slide):
+def test_missing_data_is_named(tilt, slide):
     rig, events, _ = tilt
     assert refused([each for each in events if isinstance(each, PadSample)], rig).startswith("the arm hardly reports")
     assert refused([each for each in events if isinstance(each, GripperSample)], rig).startswith("the pad is never")
     rig, events, _ = slide
     unmeasured = arms(events, lambda arm: replace(arm, z=None))
-    for told in (refused(unmeasured, rig), refused(events, replace(rig, z_measured=False))):
-        assert told.startswith("the pivot's height is not measured")
+    for reason in (refused(unmeasured, rig), refused(events, replace(rig, z_measured=False))):
+        assert reason.startswith("the pivot's height is not measured")
     still = arms(events, lambda arm: replace(arm, x=0.02, vx=0.0, ax=0.0))
     assert refused(still, rig).startswith("the arm hardly moves")
 
@@ -137,7 +137,7 @@ def test_what_is_missing_is_said(tilt, slide):
 # ------------------------------------------------------------------------------------------------------- the parts
 
 
-def test_a_path_follows_its_plan_and_shifts_where_the_arm_was_silent():
+def test_a_path_follows_its_plan_and_shifts_at_the_arms_silence():
     t = np.arange(0.0, 6.0, 0.016)
     t = t[(t < 2.0) | (t > 3.0)]
     true = 0.02 + 0.01 * np.sin(t)
@@ -150,11 +150,11 @@ def test_a_path_follows_its_plan_and_shifts_where_the_arm_was_silent():
     assert np.abs(path.at(at)[2] + 0.01 * np.sin(at)).max() < 1e-5
 
 
-def test_a_touchs_spline_gives_a_cubic_and_its_rates():
+def test_a_contacts_spline_has_the_right_value_and_rates():
     touch = TouchSpan(1.0, 3.0, 5, 13)
     knots = 1.0 + touch.spacing * (np.arange(13) - 1)
     c = np.zeros(18)
-    c[touch.coefficients] = 2.0 + 3.0 * knots  # splines give straight lines exactly
+    c[touch.coefficients] = 2.0 + 3.0 * knots  # splines reproduce straight lines exactly
     t = np.linspace(1.0, 3.0, 7)
     first, weights = touch.taps(t)
     psi, omega, alpha = np.einsum("nqk,nk->qn", weights, c[first[:, None] + np.arange(4)])
@@ -163,7 +163,7 @@ def test_a_touchs_spline_gives_a_cubic_and_its_rates():
     assert alpha == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_side_is_known_from_its_readings_alone(tilt):
+def test_a_side_is_fitted_from_its_readings_alone(tilt):
     rig, events, truth = tilt
     record = lay_out(events, arm_motion(events, rig), rig)
     side = side_of(record, record.touches[0])
@@ -176,7 +176,7 @@ def test_a_side_is_known_from_its_readings_alone(tilt):
     assert 0.01 < coefficients[0] < 0.03
 
 
-def test_the_best_start_has_the_sides_turned_aright(tilt):
+def test_the_best_start_has_the_right_rotation_of_the_sides(tilt):
     rig, events, truth = tilt
     record = lay_out(events, arm_motion(events, rig), rig)
     known = prior_of(record)
@@ -186,9 +186,9 @@ def test_the_best_start_has_the_sides_turned_aright(tilt):
     assert np.percentile(np.abs(off), 90) < 0.15
 
 
-def test_a_body_turned_is_the_same_body():
+def test_rotating_a_bodys_parameters_is_reversible():
     p = np.zeros(P.SHAPE + 21)
-    p[P.SHAPE], p[P.SHAPE + 1], p[P.MOMENT] = 0.02, 0.005, 1e-3  # middle and centre of mass lie the same way
+    p[P.SHAPE], p[P.SHAPE + 1], p[P.MOMENT] = 0.02, 0.005, 1e-3  # h and centre of mass in one direction
     there = turned(p, 0.7)
     assert there[P.SHAPE + 1 : P.SHAPE + 3] * 0.2 == pytest.approx(there[P.MOMENT : P.MOMENT + 2])
     assert turned(there, -0.7) == pytest.approx(p)

@@ -1,4 +1,4 @@
-"""What an observer hands over for choosing motions: the likeliest state, others that may be, and what was touched."""
+"""The belief for planning: the likeliest state, samples, and touched normals."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from palmd.observer.filters.base import Overconfidence
 
 
 def fed(seconds=4.5, overconfidence=None):
-    """A shape observer after so many seconds of the same run, and the time; its filters may be made less confident."""
+    """A shape observer after this time of the same run, and the time; its filters may be made less confident."""
     run = simulated("nominal", 2, 5.0)
     mine = observer.make("shape", run.rig)
     if overconfidence is not None:
@@ -28,7 +28,7 @@ def fed(seconds=4.5, overconfidence=None):
     return mine, t
 
 
-def test_the_likeliest_state_comes_first_and_is_the_estimates():
+def test_the_first_state_is_that_of_the_estimate():
     mine, t = fed()
     belief, estimate, outline = mine.planning_belief(t), mine.estimate(t), mine.shape(t)
     assert estimate.valid
@@ -41,21 +41,21 @@ def test_the_likeliest_state_comes_first_and_is_the_estimates():
     assert abs(belief.mass - simulated("nominal", 2, 5.0).truth.mass) < 3.0 * belief.mass_sd
 
 
-def test_there_is_none_while_nothing_is_known():
+def test_without_an_estimate_there_is_no_belief():
     assert observer.make("shape", simulated("nominal", 2, 5.0).rig).planning_belief(0.0) is None
     for name in ("extended", "quasistatic"):
         assert observer.make(name, simulated("nominal", 2, 5.0).rig).planning_belief(0.0) is None
 
 
-def test_looking_does_not_change_the_estimate():
+def test_asking_for_a_belief_does_not_change_the_estimate():
     (one, t), (other, _) = fed(), fed()
     for _ in range(3):
         one.planning_belief(t)
     assert one.estimate(t) == other.estimate(t)
 
 
-def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
-    """A young filter is too sure of itself: samples must not take it at its word, nor may the band."""
+def test_samples_have_the_spread_of_the_published_error_bars():
+    """A young filter is overconfident, so that samples and sds are inflated."""
     (sure, t), (doubtful, _) = (
         fed(overconfidence=Overconfidence(0.0, 1.0)),
         fed(overconfidence=Overconfidence(2.0, 1e9)),
@@ -69,7 +69,7 @@ def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
     np.testing.assert_allclose(other.h_sd, 3.0 * one.h_sd)
 
 
-def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
+def test_the_rigs_spread_is_included_once_a_smoother_has_confirmed_it():
     mine, t = fed()
     assert mine.planning_belief(t).rig_spread is None
     filters = mine._fusion.filters
@@ -81,7 +81,7 @@ def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
     np.testing.assert_allclose(filters.outline(0)[1], before + of_outline @ of_outline.T)
 
 
-def test_until_then_it_is_in_the_band_alone_and_the_next_object_begins_without_it():
+def test_a_provisional_rig_spread_is_in_the_band_only_and_ends_with_the_object():
     mine, t = fed()
     filters = mine._fusion.filters
     _, before = filters.outline(0)

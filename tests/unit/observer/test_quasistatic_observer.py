@@ -1,4 +1,4 @@
-"""The quasistatic observer on objects that are in balance, on some that are not, and on bad input."""
+"""The quasistatic observer on balanced and unbalanced objects, and on invalid input."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def events_of(run: BalancedRun, noise_m: float, seed: int = 0, mass: float = 0.1
     return events
 
 
-def test_a_balanced_object_is_told_to_a_fraction_of_a_millimetre_and_honestly():
+def test_a_balanced_object_is_estimated_to_less_than_a_millimetre_and_consistently():
     run = balanced()
     estimates = [e for e in watched(QuasistaticObserver(RIG), events_of(run, 1e-4), 8.0) if e.valid]
     assert estimates[0].t < 2.5
@@ -57,7 +57,7 @@ def test_a_balanced_object_is_told_to_a_fraction_of_a_millimetre_and_honestly():
     assert all(math.isfinite(e.e_f) for e in late)
 
 
-def test_what_it_says_of_an_object_with_friction_is_honest():
+def test_estimates_of_an_object_with_friction_are_consistent():
     ratios = []
     for seed in (401, 402, 403, 404):
         run = simulated("friction", seed, 8.0)
@@ -86,7 +86,7 @@ def test_every_estimate_can_be_published():
     assert (outline.h_sd > 0.5e-3).all()
 
 
-def test_the_same_events_give_the_same_answers_and_late_ones_change_little():
+def test_estimates_are_reproducible_and_late_events_change_little():
     events = events_of(balanced(4.0), 1e-4)
     first = list(watched(QuasistaticObserver(RIG), events, 4.0))
     again = list(watched(QuasistaticObserver(RIG), events, 4.0))
@@ -99,7 +99,7 @@ def test_the_same_events_give_the_same_answers_and_late_ones_change_little():
     assert late[-1].r1 == pytest.approx(first[-1].r1, abs=1e-4)
 
 
-def test_narrower_sets_follow_and_the_window_slides():
+def test_the_set_of_starts_narrows_and_the_window_slides():
     run = balanced(26.0, swing=0.1)
     assert run.jumps == 0
     observer = QuasistaticObserver(RIG)
@@ -112,8 +112,8 @@ def test_narrower_sets_follow_and_the_window_slides():
     assert np.sqrt(np.mean(np.square(off))) < 1.5e-3
 
 
-def test_after_a_jump_it_begins_anew():
-    """Where its stable pose vanishes the object falls into another one, faster than the readings can be followed."""
+def test_after_a_jump_it_restarts():
+    """Where its stable pose vanishes, the object falls into another one, too fast to be tracked."""
     run = balanced(20.0)
     assert run.jumps == 1
     observer = QuasistaticObserver(RIG)
@@ -128,7 +128,7 @@ def test_after_a_jump_it_begins_anew():
     assert np.sqrt(np.mean(np.square(off))) < 2e-3
 
 
-def test_a_lifted_object_is_not_estimated_and_the_next_one_is_another():
+def test_after_a_lift_there_is_no_estimate_and_the_count_increases():
     run = balanced(8.0)
     events = [e for e in events_of(run, 1e-4) if not 3.0 < e.t_sample < 3.6 or isinstance(e, PalmSample)]
     events.insert(0, PadLift(0.0, 1))
@@ -142,7 +142,7 @@ def test_a_lifted_object_is_not_estimated_and_the_next_one_is_another():
     assert (by_time[2.9].object_count, by_time[7.9].object_count) == (1, 2)
 
 
-def test_a_lift_that_is_told_makes_it_invalid_at_once():
+def test_a_reported_lift_makes_the_estimate_invalid_at_once():
     events = events_of(balanced(4.0), 1e-4)
     observer = QuasistaticObserver(RIG)
     assert list(watched(observer, events, 3.5))[-1].valid
@@ -150,7 +150,7 @@ def test_a_lift_that_is_told_makes_it_invalid_at_once():
     assert not observer.estimate(3.51).valid
 
 
-def test_bad_events_are_counted_and_change_nothing():
+def test_invalid_events_are_counted_and_change_nothing():
     events = events_of(balanced(3.0), 1e-4)
     observer = QuasistaticObserver(RIG)
     clean = list(watched(QuasistaticObserver(RIG), events, 3.0))[-1]
@@ -160,9 +160,9 @@ def test_bad_events_are_counted_and_change_nothing():
         if i % 50 == 0 and isinstance(event, PalmSample):
             broken.append(dataclasses.replace(event, angles=(math.nan, event.angles[1])))
             broken.append(PadSample(event.t_sample, 1, math.inf))
-    told = list(watched(observer, broken, 3.0))[-1]
+    after_broken = list(watched(observer, broken, 3.0))[-1]
     assert observer.late_dropped == len(broken) - len(events) > 0
-    assert told.r1 == clean.r1
+    assert after_broken.r1 == clean.r1
 
 
 def test_constant_readings_and_parallel_palms_do_not_raise():
@@ -187,7 +187,7 @@ def judged(run: BalancedRun, spread: Spread) -> MultiStart:
     return beginnings
 
 
-def test_beginnings_that_run_away_are_left_out():
+def test_diverging_starts_get_zero_weight():
     run = balanced(2.0)
     beginnings = judged(run, Spread(0.02, 0.019, 0.0, 0.02))
     weights = beginnings.weights()
@@ -196,8 +196,8 @@ def test_beginnings_that_run_away_are_left_out():
     assert weights.sum() == pytest.approx(1.0)
 
 
-def test_the_conflict_tells_the_mean_radius_where_the_papers_errors_do_not():
-    """Exact readings: the likeliest beginning is the true one, though all lie in balance."""
+def test_the_conflict_measure_determines_the_mean_radius():
+    """With exact readings the likeliest start is the true one, though all are in balance."""
     run = balanced(8.0)
     true = (run.contacts.r1[0] + run.contacts.r2[0]) / 2
     beginnings = judged(run, Spread(true + 8e-4, 4e-3, 0.0, 1e-9))

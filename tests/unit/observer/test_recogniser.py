@@ -1,4 +1,4 @@
-"""Which of several similar outlines it is, or none: right, soon, with probabilities that mean something."""
+"""Recognition among similar outlines, or of none: correct, fast, with calibrated probabilities."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from palmd.rig.world import default_config
 from tools.published import validate
 
 
-def said(t, *probability, names=("a", "b")):
+def identification(t, *probability, names=("a", "b")):
     return ObjectEstimate(t, names, np.array(probability[:-1]), probability[-1], 1)
 
 
@@ -31,25 +31,25 @@ def said(t, *probability, names=("a", "b")):
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 21), ("friction", 22), ("rig", 23), ("odd", 20)])
-def test_the_right_one_of_many_is_found_within_three_seconds(kind, seed):
+def test_the_right_outline_is_found_within_three_seconds(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     chosen = seed % 8
     run = run_with(bodies[chosen], kind, seed, 3.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines)
-    told = []
+    identifications = []
     for tick in replay(run.log, recogniser):
-        told.append(recogniser.identify(tick.t))
-        if told[-1] is not None:
-            assert told[-1].probability.sum() + told[-1].none == pytest.approx(1.0)
+        identifications.append(recogniser.identify(tick.t))
+        if identifications[-1] is not None:
+            assert identifications[-1].probability.sum() + identifications[-1].none == pytest.approx(1.0)
         if tick.estimate.valid:
-            assert told[-1].best, "nothing is valid while it is undecided"
-    found = verdict(each for each in told if each is not None)
+            assert identifications[-1].best, "no estimate is valid before the decision"
+    found = verdict(each for each in identifications if each is not None)
     assert found.decision == outlines[chosen].name
     assert found.decided_at < 2.5
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("friction", 32), ("rig", 33), ("odd", 34)])
-def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
+def test_a_similar_object_that_is_not_stored_is_not_identified(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     run = run_with(bodies[0], kind, seed, 4.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines[1:])
@@ -57,7 +57,7 @@ def test_a_sibling_that_is_not_stored_is_none_of_them(kind, seed):
     assert found.decision == NONE_OF_THESE
 
 
-def test_before_the_twins_begin_none_has_its_prior():
+def test_before_the_twins_start_none_has_its_prior_probability():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines)
@@ -66,7 +66,7 @@ def test_before_the_twins_begin_none_has_its_prior():
     assert recogniser.identify(0.5).none == pytest.approx(NONE)
 
 
-def test_nothing_is_said_before_anything_is_felt():
+def test_without_contact_there_is_no_identification():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
     recogniser = observer.make("shape", run.log.rig, outlines=outlines)
@@ -75,8 +75,8 @@ def test_nothing_is_said_before_anything_is_felt():
     assert recogniser.identify(0.0) is None
 
 
-def test_no_name_is_given_while_nothing_foresees_the_readings():
-    """Of a body that slips easily (μ 0.07), which is recognised for good before its readings are disturbed."""
+def test_no_outline_is_identified_while_none_predicts_the_readings():
+    """A body with low friction (μ = 0.07) that is recognised before its readings are disturbed."""
     bodies, outlines = library("friction", 38, 8)
     run = run_with(bodies[6], "friction", 38, 3.0)
     recogniser, random = observer.make("shape", run.log.rig, outlines=outlines), np.random.default_rng(4)
@@ -98,38 +98,43 @@ def test_no_name_is_given_while_nothing_foresees_the_readings():
     assert all(found.none == 1.0 for found in during)
 
 
-# ---- what is said of a run
+# ---- the verdict on a run
 
 
-def test_a_verdict_stands_since_it_was_said_for_good():
+def test_a_verdicts_time_is_that_of_its_last_change():
     found = verdict(
-        [said(0.1, 0.97, 0.01, 0.02), said(0.2, 0.5, 0.5, 0.0), said(0.3, 0.96, 0, 0), said(0.4, 0.99, 0, 0)]
+        [
+            identification(0.1, 0.97, 0.01, 0.02),
+            identification(0.2, 0.5, 0.5, 0.0),
+            identification(0.3, 0.96, 0, 0),
+            identification(0.4, 0.99, 0, 0),
+        ]
     )
     assert (found.decision, found.decided_at) == ("a", 0.3)
-    found = verdict([said(0.1, 0.96, 0.0, 0.04), said(0.2, 0.0, 0.03, 0.97)])
+    found = verdict([identification(0.1, 0.96, 0.0, 0.04), identification(0.2, 0.0, 0.03, 0.97)])
     assert (found.decision, found.decided_at) == (NONE_OF_THESE, 0.2)
     assert as_line(found)["best"] == ""
     assert as_line(found)["decided_s"] == 0.2
-    found = verdict([said(0.1, 0.94, 0.0, 0.06)])
+    found = verdict([identification(0.1, 0.94, 0.0, 0.06)])
     assert found.decision == ""
     assert math.isnan(found.decided_at)
     assert as_line(found)["decided_s"] is None
     assert verdict([]) is None
 
 
-def test_the_table_begins_with_the_likeliest():
-    text = table(verdict([said(0.1, 0.01, 0.98, 0.01)])).splitlines()
+def test_the_table_is_sorted_by_probability():
+    text = table(verdict([identification(0.1, 0.01, 0.98, 0.01)])).splitlines()
     assert text[0].split() == ["b", "0.980"]
     assert text[2].split() == ["none", "of", "these", "0.010"]
     assert text[3] == "b, since 0.10 s"
-    assert table(verdict([said(0.1, 0.5, 0.4, 0.1)])).endswith("undecided")
+    assert table(verdict([identification(0.1, 0.5, 0.4, 0.1)])).endswith("undecided")
 
 
-def test_the_message_is_that_of_the_table():
-    fields = stamp(object_fields(said(0.1, DECIDED, 0.03, 0.02)), 1.0, 0.1, 1)
+def test_the_message_agrees_with_the_table():
+    fields = stamp(object_fields(identification(0.1, DECIDED, 0.03, 0.02)), 1.0, 0.1, 1)
     assert validate(OBJECT, fields) == []
     assert fields["best"] == "a"
-    assert object_fields(said(0.1, DECIDED - 0.01, 0.04, 0.02))["best"] == ""
+    assert object_fields(identification(0.1, DECIDED - 0.01, 0.04, 0.02))["best"] == ""
 
 
 # ---- published and replayed
@@ -152,14 +157,14 @@ def test_the_daemon_publishes_it_ten_times_a_second():
     assert published[-1]["object"] == 1
 
 
-def test_a_replay_tells_it_each_second():
+def test_a_replay_writes_the_identification_each_second():
     bodies, outlines = library("friction", 22, 8)
     run = run_with(bodies[6], "friction", 22, 3.0)
-    told = [
+    identifications = [
         line
         for tick in replay(run.log, observer.make("shape", run.log.rig, outlines=outlines))
         for line in lines(tick_fields(tick))
     ]
-    objects = [line for line in told if isinstance(line.get("object"), dict)]
+    objects = [line for line in identifications if isinstance(line.get("object"), dict)]
     assert [line["t"] for line in objects] == pytest.approx([1.0, 2.0])
     assert objects[-1]["object"]["best"] == outlines[6].name

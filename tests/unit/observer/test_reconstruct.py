@@ -1,4 +1,4 @@
-"""Reconstruction from a blind start: right within its error bars, or not claimed."""
+"""Reconstruction from a blind start: accurate within its error bars, or rejected."""
 
 import math
 import random
@@ -24,8 +24,8 @@ from tools.studies import sbc
 from tools.studies.simulated import simulated as calibrated_run
 
 SECONDS = 5.0
-EACH_S = 3.5  # of two objects
-FEW_S = 2.0  # in which what makes no sense is seen to make none
+EACH_S = 3.5  # for each of two objects
+FEW_S = 2.0  # enough to detect inconsistent readings
 RIGHT_M = 1e-4
 MOST_SDS = 4.0
 
@@ -38,8 +38,8 @@ def band(answer: Reconstruction) -> float:
     return float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
 
 
-def honest(answer: Reconstruction, run: Run) -> bool:
-    """Right within what it says of itself, or nothing said."""
+def consistent(answer: Reconstruction, run: Run) -> bool:
+    """Accurate within its error bars, or rejected."""
     return not answer.converged or e_h(answer, run) < max(RIGHT_M, 3 * band(answer))
 
 
@@ -104,19 +104,19 @@ def true_touched(run: Run, answer: Reconstruction) -> float:
     return len(np.unique(np.round(np.degrees(true_normals(run)[:, inside])) % 360)) / 360
 
 
-def test_strong_friction_is_within_its_error_bar():
-    """Where the readings leave μ and u_d apart open, μ's belief is lopsided."""
+def test_strong_friction_is_estimated_within_its_error_bar():
+    """If the readings do not separate μ from u_d, the posterior of μ is skewed."""
     run = simulated("rig", 2008, 10.0)
     answer = reconstruct(run.events, run.rig)
     assert abs(answer.mu - run.truth.mu) < 2.2 * answer.mu_sd
 
 
-def test_it_is_deterministic_and_in_which_order_and_how_often_events_are_given_does_not_matter(run, answer):
+def test_order_and_repetition_of_events_do_not_change_the_result(run, answer):
     twice = random.Random(0).sample(run.events * 2, 2 * len(run.events))
     assert same(reconstruct(twice, run.rig), answer)
 
 
-def test_time_may_begin_anywhere(run, answer):
+def test_the_time_origin_does_not_matter(run, answer):
     later = [replace(event, t_sample=event.t_sample + 1e6) for event in run.events]
     moved = reconstruct(later, run.rig)
     assert moved.converged
@@ -124,7 +124,7 @@ def test_time_may_begin_anywhere(run, answer):
     assert e_h(moved, run) < RIGHT_M
 
 
-# ------------------------------------------------------------------------------------- less than everything
+# ------------------------------------------------------------------------------------- missing data
 
 
 def test_without_forces_there_is_no_mass(run):
@@ -135,21 +135,21 @@ def test_without_forces_there_is_no_mass(run):
     assert e_h(answer, run) < RIGHT_M
 
 
-def test_without_the_plan_the_angles_are_enough(run):
+def test_palm_angles_without_the_plan_are_sufficient(run):
     bare = palms_changed(run.events, lambda sample: PalmSample(sample.t_sample, sample.angles))
     answer = reconstruct(bare, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
 
 
-def test_a_gap_leaves_the_longest_stretch():
+def test_with_a_gap_the_longest_segment_is_used():
     run = simulated("nominal", 1, SECONDS)
     answer = reconstruct([event for event in run.events if not 1.0 < event.t_sample < 3.0], run.rig)
     assert answer.t[0] == pytest.approx(3.0, abs=0.03)
-    assert honest(answer, run)
+    assert consistent(answer, run)
 
 
-def test_an_object_put_down_seconds_after_the_arm_began_to_report():
+def test_an_object_put_down_seconds_after_the_arms_first_report():
     run = simulated("friction", 1, 4.0 + SECONDS)
     answer = reconstruct([event for event in run.events if not (is_pad(event) and event.t_sample < 4.0)], run.rig)
     assert answer.converged, answer.reason
@@ -158,8 +158,8 @@ def test_an_object_put_down_seconds_after_the_arm_began_to_report():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [3, 5])
-def test_an_object_that_another_takes_the_place_of_within_a_moment(seed):
-    """Each is felt for some seconds: they are not one object, whichever of them is told of."""
+def test_two_objects_in_quick_succession_are_not_joined(seed):
+    """Each is in contact for some seconds; the result may be of either one."""
     first, second, events = swapped("friction", seed, EACH_S, 0.2, 2 * EACH_S)
     answer = reconstruct(events, first.rig)
     assert answer.converged, answer.reason
@@ -172,11 +172,11 @@ LONG_REST_S = 60.0
 
 @pytest.fixture(scope="module")
 def rested():
-    """As a demo that has explored and then stands: seven seconds of motion between a short rest and a long one."""
+    """Like a demo that has explored and then stands: seven seconds of motion between a short rest and a long one."""
     return simulated("friction", 3, 8.0 + LONG_REST_S, rests=((8.0, 8.0 + LONG_REST_S),))
 
 
-def test_a_long_rest_is_left_out_of_the_longest_segment(rested):
+def test_a_long_rest_is_trimmed_from_the_longest_segment(rested):
     (whole,) = data_segments(rested.events)
     assert whole.lasts > 60.0
     trimmed = whole.trimmed(1e-4)
@@ -188,12 +188,12 @@ def test_a_long_rest_is_left_out_of_the_longest_segment(rested):
 def test_the_motion_before_a_long_rest_is_reconstructed(rested):
     found = reconstruct(rested.events, rested.rig)
     assert found.converged, found.reason
-    assert found.t[-1] < 12.0, "the rest is no part of what is explained"
+    assert found.t[-1] < 12.0, "the rest is not part of the result"
     score = score_outline(found.theta, found.h, found.touched, rested.truth.h)
     assert score.e_h < 3.0 * np.sqrt(np.mean(found.h_sd[found.touched] ** 2))
 
 
-def test_a_rest_of_a_second_stays_and_what_never_moves_is_left_whole(rested):
+def test_short_rests_and_records_without_motion_are_not_trimmed(rested):
     segment = data_segments(rested.events)[0]
     short = segment.until(9.5)
     assert short.trimmed(1e-4).end == short.end
@@ -201,8 +201,8 @@ def test_a_rest_of_a_second_stays_and_what_never_moves_is_left_whole(rested):
     assert still.trimmed(1e-4) is still
 
 
-def test_where_nothing_explains_the_longest_segment_a_shorter_one_counts():
-    """As where the object was knocked about for a while, and only then turned as it should be."""
+def test_if_the_longest_segment_is_unexplained_a_shorter_one_is_used():
+    """For example after the object was disturbed for a while."""
     run = simulated("nominal", 1, 12.0)
     wild, begin = np.random.default_rng(1), run.events[0].t_sample
     events = []
@@ -219,7 +219,7 @@ def test_where_nothing_explains_the_longest_segment_a_shorter_one_counts():
 
 
 def test_a_rejected_log_of_many_segments_costs_a_limited_number_of_searches(monkeypatch):
-    """Each segment has its first two before any has more; what is left goes to the longest."""
+    """Each segment gets its first two searches before any gets more; the rest of the budget goes to the longest."""
     seen = []
     monkeypatch.setattr(Search, "blind", lambda self, *_: seen.append(self.segment.start))
     for other in ("dry_reconstruction", "sharp_reconstruction"):
@@ -237,7 +237,7 @@ def test_a_rejected_log_of_many_segments_costs_a_limited_number_of_searches(monk
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])
-def test_too_short_a_record_is_not_claimed(seconds, reason):
+def test_a_too_short_record_is_not_accepted(seconds, reason):
     run = simulated("friction", 1, 3.0)
     answer = reconstruct([event for event in run.events if event.t_sample < seconds], run.rig)
     assert not answer.converged
@@ -255,7 +255,7 @@ def test_too_short_a_record_is_not_claimed(seconds, reason):
     ],
     ids=["nothing", "one event", "palms only", "pads only", "pad 1 only"],
 )
-def test_without_a_source_nothing_is_claimed(run, keep):
+def test_without_one_source_nothing_is_accepted(run, keep):
     answer = reconstruct([event for event in run.events if keep(event)], run.rig)
     assert not answer.converged
     assert "no second" in answer.reason
@@ -265,56 +265,56 @@ def test_without_a_source_nothing_is_claimed(run, keep):
     assert math.isnan(answer.chi2)
 
 
-# ------------------------------------------------------------------------------------ worse than nothing
+# ------------------------------------------------------------------------------------ wrong data
 
 
 @pytest.mark.parametrize("bad", [math.nan, 1e9])
-def test_absurd_values_among_the_others_do_no_harm(run, bad):
-    spoilt = [
+def test_isolated_absurd_values_do_no_harm(run, bad):
+    corrupted = [
         *run.events,
         *(PadSample(1.0 + k / 10 + 1e-4, 1, bad, bad) for k in range(3)),
         *(PalmSample(2.0 + k / 10 + 1e-4, (0.7, 1.6), (bad, 0.0)) for k in range(3) if not math.isfinite(bad)),
     ]
-    assert honest(reconstruct(spoilt, run.rig), run)
+    assert consistent(reconstruct(corrupted, run.rig), run)
 
 
-def test_readings_that_are_wrong_by_millimetres_now_and_then(run):
+def test_occasional_outliers_of_millimetres_are_tolerated(run):
     dice = random.Random(1)
-    spoilt = pads_changed(run.events, lambda s: replace(s, s=s.s + 5e-3) if dice.random() < 0.03 else s)
-    answer = reconstruct(spoilt, run.rig)
+    corrupted = pads_changed(run.events, lambda s: replace(s, s=s.s + 5e-3) if dice.random() < 0.03 else s)
+    answer = reconstruct(corrupted, run.rig)
     assert answer.converged, answer.reason
     assert e_h(answer, run) < RIGHT_M
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
-def test_an_object_at_rest_on_palms_at_rest_tells_nothing(run, noise):
+def test_a_record_without_motion_is_rejected(run, noise):
     dice = random.Random(2)
     still = pads_changed(run.events, lambda sample: replace(sample, s=0.02 + dice.gauss(0.0, noise), force=1.0))
     answer = reconstruct(
         palms_changed(still, lambda sample: PalmSample(sample.t_sample, (0.75, 1.6), (0.0, 0.0), (0.0, 0.0))), run.rig
     )
     assert not answer.converged
-    assert (answer.reason, answer.h) == (NOTHING_MOVES, None)  # it is not even searched for
+    assert (answer.reason, answer.h) == (NOTHING_MOVES, None)  # without a search
 
 
 @pytest.mark.parametrize("how", ["swapped", "noise"])
-def test_readings_without_any_sense_are_refused(run, how):
+def test_inconsistent_readings_are_rejected(run, how):
     dice = np.random.default_rng(0)
     spoil = {
         "swapped": lambda sample: replace(sample, pad=3 - sample.pad),
         "noise": lambda sample: replace(sample, s=dice.uniform(0.005, 0.05)),
     }
     few = [event for event in run.events if event.t_sample < FEW_S]
-    assert reconstruct(few, run.rig).converged  # as they are
+    assert reconstruct(few, run.rig).converged  # unchanged readings are accepted
     answer = reconstruct(pads_changed(few, spoil[how]), run.rig)
     assert not answer.converged
     assert answer.reason
 
 
-def test_pads_with_clocks_of_their_own_are_not_claimed_wrongly():
+def test_an_undescribed_latency_gives_no_wrong_result():
     run = simulated("nominal", 1, 2.0)
     late = pads_changed(run.events, lambda s: replace(s, t_sample=s.t_sample + 0.06) if s.pad == 2 else s)
-    assert honest(reconstruct(late, run.rig), run)
+    assert consistent(reconstruct(late, run.rig), run)
 
 
 @pytest.mark.parametrize(
@@ -326,12 +326,12 @@ def test_pads_with_clocks_of_their_own_are_not_claimed_wrongly():
     ],
     ids=["bow", "lag", "bias"],
 )
-def test_a_rig_that_is_not_as_described(off):
+def test_a_mis_described_rig_gives_no_wrong_result(off):
     run = simulated("nominal", 1, 3.0, **off)
-    assert honest(reconstruct(run.events, run.rig), run)
+    assert consistent(reconstruct(run.events, run.rig), run)
 
 
-def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_shortened():
+def test_a_window_that_ends_beyond_an_unstable_pose_is_shortened():
     run = simulated("nominal", 1070, 10.0)
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
@@ -346,26 +346,26 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
         ("odd", 60611, 10.0, False),
     ],
 )
-def test_an_unlikely_object_is_looked_for_again_without_its_beginning(kind, seed, seconds, left_out):
-    """Of those let go in haste one was four, one 2.7 of its one-sigmas off; another is as unlikely, and right."""
+def test_an_unlikely_result_is_searched_for_again_without_its_beginning(kind, seed, seconds, left_out):
+    """Two hasty releases gave results four and 2.7 one-sigmas off; another is as unlikely but right."""
     body, surface = sbc.drawn_from_prior(kind, seed)
-    log, told = calibrated_run(kind, seed, 10.0, body, "calibrated", surface)
+    log, truth = calibrated_run(kind, seed, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < seconds], log.rig)
     assert answer.converged, answer.reason
     assert (answer.t[0] > 0.4) == left_out
-    assert sbc.row_of(sbc.SbcTask(kind, seed, seconds), told, answer).worst_z < 2.0
+    assert sbc.row_of(sbc.SbcTask(kind, seed, seconds), truth, answer).worst_z < 2.0
 
 
-def test_a_map_that_pads_may_have_hides_no_other_beginning():
-    """Under the noise that a search takes a map for, an object let go in haste looks likely that is not the one."""
+def test_a_possible_pad_map_does_not_hide_a_wrong_beginning():
+    """With the noise that a search assumes for a map, a wrong object released in haste looks likely."""
     body, surface = sbc.drawn_from_prior("nominal", 60349)
-    log, told = calibrated_run("nominal", 60349, 10.0, body, "calibrated", surface)
+    log, truth = calibrated_run("nominal", 60349, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < 3.0], log.rig.with_pads(map_sd=7e-5))
     assert answer.converged, answer.reason
-    assert sbc.row_of(sbc.SbcTask("nominal", 60349, 3.0), told, answer).worst_z < 2.0
+    assert sbc.row_of(sbc.SbcTask("nominal", 60349, 3.0), truth, answer).worst_z < 2.0
 
 
-def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_again(monkeypatch):
+def test_a_result_found_beyond_doubt_ends_the_search(monkeypatch):
     asked, blind = [], Search.blind
 
     def counted(search, attempt, seed):
@@ -380,13 +380,13 @@ def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_aga
 
 
 @pytest.fixture
-def believing(monkeypatch):
-    """The rest of the rig is taken at its word, so that bands are of what readings tell, without doubt about it."""
+def without_criticism(monkeypatch):
+    """Assume the rest of the rig as described, so that bands reflect the readings alone."""
     monkeypatch.setattr(criticism, "PRIOR_DOUBTED", 1e-6)
 
 
 @pytest.mark.parametrize(("seed", "asymmetry"), [(41, 0.33), (43, -0.667)])
-def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry, believing):
+def test_unequal_friction_of_the_palms_is_estimated(seed, asymmetry, without_criticism):
     run = simulated("friction", seed, 12.0, imperfections=Imperfections(friction=asymmetry))
     rig = replace(run.rig, friction_sd=0.3)
     answer = reconstruct(run.events, rig)
@@ -396,7 +396,7 @@ def test_palms_of_unequal_friction_are_told_apart(seed, asymmetry, believing):
     assert abs(found - asymmetry) < 3 * sd < 0.1
 
 
-def test_readings_that_move_with_force_are_told_and_cost_little(believing):
+def test_a_force_dependent_shift_of_readings_is_estimated(without_criticism):
     shift = 2e-4
     off = Imperfections((PadImperfection(force=shift), PadImperfection()))
     run = simulated("friction", 42, 12.0, imperfections=off)
@@ -410,7 +410,7 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
 
 
 @pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, SMOOTH_FIRST), (0.5, 1.0, None), (1.0, 1.12, None)])
-def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
+def test_a_full_explanation_by_another_kind_of_object_ends_the_smooth_search(
     run, answer, monkeypatch, share, chi2, searches
 ):
     tried = []

@@ -1,4 +1,4 @@
-"""Readings laid out on nodes."""
+"""Readings laid out on the nodes of a record."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def laid(samples, end=0.1, spacing=0.01, rig=RIG):
     return lay_out(samples, PATH, rig, 0.0, end, spacing)
 
 
-def test_each_reading_falls_into_its_step():
+def test_each_reading_is_assigned_to_its_step():
     times = (0.0, 0.0099, 0.01, 0.055, 0.1)
     record = laid(pads(*times))
     assert record.t == pytest.approx(np.arange(11) * 0.01)
@@ -34,31 +34,31 @@ def test_each_reading_falls_into_its_step():
     assert record.palms[:, 0] == pytest.approx(0.7 + 0.2 * record.t, abs=1e-6)
 
 
-def test_contacts_are_pressed_by_what_a_model_says_as_much_as_pads_tell():
+def test_modelled_contact_forces_are_scaled_to_the_readings():
     samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
     silent = [PadSample(each.t_sample, each.pad, each.s, None if each.pad == 2 else each.force) for each in samples]
     record = laid(silent)
     first = record.contact_pad == 1
-    model = 1.0 + record.t[record.contact_step] + record.contact_offset  # of an object of some other mass
+    model = 1.0 + record.t[record.contact_step] + record.contact_offset  # of an object of another mass
     pressed = record.with_contact_forces(model)
     ratio = pressed.contact_force[first] / model[first]
     assert ratio == pytest.approx(np.median(2.0 / model[first]))
     assert (pressed.contact_force[~first] == 0.0).all()
-    assert record.contact_force[first] == pytest.approx(2.0), "the record itself stays as it was"
+    assert record.contact_force[first] == pytest.approx(2.0), "the record itself is unchanged"
     assert laid(pads(0.01, 0.02, force=None)).with_contact_forces(np.ones(2)).contact_force.tolist() == [0.0, 0.0]
 
 
-def test_a_pad_that_is_pressed_beyond_its_scale_is_pressed_as_much_as_it_tells_at_most():
-    """It tells no force then, which is not none."""
-    told = [1.0, 2.0, 2.5, None, None, 2.4, 1.5]
-    record = laid([PadSample(0.01 * k, 1, 0.02, force) for k, force in enumerate(told)])
+def test_a_saturated_reading_gets_the_pads_largest_force():
+    """It has no force reading, but not a zero force."""
+    forces = [1.0, 2.0, 2.5, None, None, 2.4, 1.5]
+    record = laid([PadSample(0.01 * k, 1, 0.02, force) for k, force in enumerate(forces)])
     assert record.contact_force.min() == pytest.approx(1.0)
     assert record.contact_force[3:5] == pytest.approx(record.contact_force.max())
     assert record.force_step.tolist() == [0, 1, 2, 5, 6]
 
 
-def test_a_pad_pressed_beyond_its_scale_all_along_is_pressed_as_the_model_has_it():
-    """By what the other pad tells of the scale: what it told at most before is no measure of it."""
+def test_a_permanently_saturated_pad_gets_the_modelled_force():
+    """Scaled by the other pad, since its own largest earlier reading is no measure of the force."""
     silent = [PadSample(0.01 * k, 1 + k % 2, 0.02, 1.0 if k % 2 else None) for k in range(8)]
     record = lay_out(silent, PATH, RigDescription(hinge="fixed"), 0.0, 0.1, 0.01, most_forces=(2.5, 1.2))
     beyond = record.contact_pad == 1
@@ -68,7 +68,7 @@ def test_a_pad_pressed_beyond_its_scale_all_along_is_pressed_as_the_model_has_it
     assert pressed.contact_force == pytest.approx(np.where(beyond, 3.0, 1.0))
 
 
-def test_what_lies_outside_the_nodes_is_left_out():
+def test_readings_outside_the_nodes_are_left_out():
     assert laid(pads(-0.01, 0.05, 0.11)).contact_value == pytest.approx([0.02005])
 
 
@@ -78,25 +78,25 @@ def test_noise_of_contacts_and_forces():
     assert record.force_variance == pytest.approx((0.05 * 2.0) ** 2 + 0.02**2 / 12)
 
 
-def test_each_pad_has_its_own_noise_and_its_own_gain():
+def test_each_pad_has_its_own_noise_and_gain():
     worse = PadSensor(noise=5e-4, force_scale_std=0.1, force_gain_std=0.03, length=0.04)
     samples = pads(*np.arange(0.0, 0.1, 0.01), force=2.0)
     record = laid(samples, rig=RigDescription(hinge="fixed", pads=(PadSensor(), worse)))
     assert record.contact_variance[:2] == pytest.approx([1e-8 + 1.27e-4**2 / 12, 25e-8 + 1.27e-4**2 / 12])
-    assert set(record.force_pad) == {1.0}, "the forces of a pad whose gain drifts are left out, the other's are not"
+    assert set(record.force_pad) == {1.0}, "only forces of a pad with a drifting gain are left out"
     assert record.contact_inputs(64)[0, -2:].tolist() == [0.0555, 0.04]
     steady = RigDescription(hinge="fixed", pads=(PadSensor(), PadSensor(force_scale_std=0.1)))
     assert laid(samples, rig=steady).force_variance[:2] == pytest.approx([0.01 + 0.02**2 / 12, 0.04 + 0.02**2 / 12])
 
 
-def test_a_wild_force_does_not_tell_its_own_noise():
+def test_an_outlier_of_force_does_not_widen_its_own_variance():
     samples = pads(*np.arange(0.0, 0.1, 0.005), force=2.0)
     samples[6] = PadSample(samples[6].t_sample, samples[6].pad, 0.02, 2000.0)
     assert laid(samples).force_variance.max() == pytest.approx((0.05 * 2.0) ** 2 + 0.02**2 / 12)
 
 
 @pytest.mark.parametrize("force", [None, 0.0, -1.0, float("nan"), float("inf")])
-def test_a_force_that_tells_nothing_is_left_out(force):
+def test_missing_zero_or_invalid_forces_are_left_out(force):
     samples = [*pads(0.01, 0.02), PadSample(0.03, 1, 0.02, force)]
     record = laid(samples)
     assert len(record.contact_value) == 3
@@ -104,7 +104,7 @@ def test_a_force_that_tells_nothing_is_left_out(force):
     assert np.isfinite(record.force_variance).all()
 
 
-def test_a_part_is_what_would_have_been_laid_out():
+def test_a_part_of_a_record_equals_its_own_layout():
     samples = pads(*np.arange(0.0, 0.1, 0.003))
     part, wanted = laid(samples).until(0.0501), laid([s for s in samples if s.t_sample < 0.05], end=0.05)
     for name in ("t", "palms", "contact_step", "contact_offset", "contact_value", "force_step", "force_value"):
@@ -112,7 +112,7 @@ def test_a_part_is_what_would_have_been_laid_out():
     assert len(laid(samples).until(-1.0).t) == 2
 
 
-def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
+def test_kernel_inputs_are_padded_with_finite_values():
     record = laid(pads(0.01, 0.02))
     for inputs in (record.step_inputs(64), record.contact_inputs(64), record.force_inputs(64)):
         assert np.isfinite(inputs).all()
@@ -124,8 +124,8 @@ def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
     assert record.step_inputs(64)[0, 9:].tolist() == wanted
 
 
-def test_what_presses_a_contact_is_told_by_neighbours_in_time():
-    """The reading's own noise would pull to 0 what is told of a contact's dependence on its force."""
+def test_the_contact_force_is_averaged_over_neighbours_in_time():
+    """A reading's own noise would bias the estimated dependence on force towards 0."""
     random = np.random.default_rng(1)
     times = np.arange(0.0, 1.0, 0.005)
     noisy = [PadSample(t, 1 + k % 2, 0.02, 1.0 + 0.05 * random.standard_normal()) for k, t in enumerate(times)]

@@ -1,4 +1,4 @@
-"""The smoother's arithmetic: what is compiled against its twin in NumPy, and both against the dense matrices."""
+"""The smoother's arithmetic: compiled code against its twin in NumPy, and both against dense matrices."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ SIDE, WIDTH = CONSTANTS, wide(CONSTANTS)
 
 
 def residuals(seed=0, counts=(37, 50), constants=CONSTANTS):
-    """Steps and readings of two kinds, of sizes as they are met; the last readings lie in the last step."""
+    """Steps and readings of two kinds, of realistic size; the last readings lie in the last step."""
     random = np.random.default_rng(seed)
     x = random.standard_normal((STEPS + 1, NODE))
     J = 0.1 * random.standard_normal((STEPS, NODE + constants, NODE))
@@ -38,20 +38,20 @@ def dense(banded):
     return matrix
 
 
-def readings(count, astray, seed=0):
-    """Values beside predictions, as far off as their noise is; those in `astray` by a hundred times."""
+def readings(count, outliers, seed=0):
+    """Values beside predictions, with errors of the noise's size; those in `outliers` are a hundred times larger."""
     random = np.random.default_rng(seed)
     variance, weight = random.uniform(0.5e-8, 2e-8, count), random.uniform(0.1, 1.0, count)
     value = random.standard_normal(count)
     off = np.sqrt(variance) * random.standard_normal(count)
-    off[astray] *= 100.0
+    off[outliers] *= 100.0
     return value - off, value, variance, weight
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 40, 785])
-@pytest.mark.parametrize("astray", [slice(0), slice(3, 9), slice(None, None, 3), slice(None)])
-def test_readings_are_weighed_as_by_the_twin(count, astray):
-    given = readings(count, astray, count)
+@pytest.mark.parametrize("outliers", [slice(0), slice(3, 9), slice(None, None, 3), slice(None)])
+def test_weights_of_readings_agree_with_the_twin(count, outliers):
+    given = readings(count, outliers, count)
     got, wanted = arithmetic().weighed(*given), PlainArithmetic().weighed(*given)
     np.testing.assert_array_equal(got.residual, wanted.residual)
     np.testing.assert_allclose(got.root, wanted.root, rtol=1e-13)
@@ -60,14 +60,14 @@ def test_readings_are_weighed_as_by_the_twin(count, astray):
     assert (got.outliers, got.outlier_run) == (wanted.outliers, wanted.outlier_run)
 
 
-def test_numbers_that_are_none_have_an_end():
+def test_nan_readings_terminate():
     predicted, *given = readings(50, slice(0))
     predicted[::3] = np.nan
     assert not np.isfinite(arithmetic().weighed(predicted, *given).cost)
 
 
 @pytest.mark.parametrize(("counts", "constants"), [((37, 50), 45), ((5,), 45), ((), 45), ((37, 50), 60)])
-def test_the_assembled_equations_are_the_twins(counts, constants):
+def test_assembled_equations_agree_with_the_twin(counts, constants):
     steps, kinds = residuals(1, counts, constants)
     got, wanted = arithmetic().assembled(steps, kinds), PlainArithmetic().assembled(steps, kinds)
     assert got.process_cost == pytest.approx(wanted.process_cost, rel=1e-12)
@@ -79,7 +79,7 @@ def test_the_assembled_equations_are_the_twins(counts, constants):
 
 
 @pytest.mark.parametrize("does", [arithmetic, PlainArithmetic], ids=["compiled", "twin"])
-def test_what_is_left_is_schurs_complement(does):
+def test_reduction_gives_the_schur_complement(does):
     steps, kinds = residuals(2)
     made = does().assembled(steps, kinds)
     damping = np.array([3.0, 7.0])
@@ -93,7 +93,7 @@ def test_what_is_left_is_schurs_complement(does):
     np.testing.assert_allclose(does().back(reduced, by), np.linalg.solve(matrix, made.rows @ by), rtol=1e-7, atol=1e-9)
 
 
-def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
+def test_reduction_agrees_with_the_twin_and_keeps_its_inputs():
     steps, kinds = residuals(3)
     made = arithmetic().assembled(steps, kinds)
     before = [each.copy() for each in (made.banded, made.rows, made.corner)]
@@ -119,7 +119,7 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
         does().reduced(made.banded, np.zeros(NODE), made.rows, made.corner)
 
 
-def test_arrays_that_do_not_fit_are_refused():
+def test_arrays_of_the_wrong_shape_are_refused():
     steps, kinds = residuals(5)
     made, does = arithmetic().assembled(steps, kinds), arithmetic()
     nothing = np.zeros(NODE)

@@ -1,4 +1,4 @@
-"""Rides on different sides of one outline are joined by the corners they share, and by what was read in between."""
+"""Contact-mode segments on different sides are joined by shared corners and by the readings in between."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from palmd.score import score_outline
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
 
-# a polygon lies on palm 2 with one side, tips over both corners, and lies on palm 1 with the next
+# a polygon lies on palm 2 with one side, tips over both corners, and lies on palm 1 with the next side
 LOWER = SideContact(1, -2.3527, 17.21e-3, 0.0, 13.47e-3 - 11.30e-3j, 2.97e-3, (-1.08, -0.70))
 UPPER = SideContact(0, -1.2653, 17.85e-3, 0.0, -15.57e-3 - 4.51e-3j, 3.00e-3, (-3.02, -2.67))
 POSES = [(0.0, 47.0, 94.0), (0.8, 45.0, 89.0), (1.8, 25.0, 89.0), (2.8, 25.0, 104.7), (3.2, 25.0, 104.7),
@@ -52,7 +52,7 @@ NOISE_M = 1e-4
 
 
 def pose(t: FloatArray) -> FloatArray:
-    """φ1, φ2 (rad) on moves of least jerk between the `POSES` (s, deg)."""
+    """φ1, φ2 (rad) on minimum-jerk moves between the `POSES` (s, deg)."""
     knots = np.array(POSES)
     i = np.clip(np.searchsorted(knots[:, 0], t, side="right") - 1, 0, len(knots) - 2)
     u = np.clip((t - knots[i, 0]) / (knots[i + 1, 0] - knots[i, 0]), 0.0, 1.0)
@@ -80,7 +80,7 @@ def constants() -> FloatArray:
 
 
 class Tipped:
-    """What its readings would be; the motion is the smoother's own model's."""
+    """A tipped polygon's readings; its motion follows the smoother's model."""
 
     def __init__(self) -> None:
         random = np.random.default_rng(3)
@@ -109,7 +109,7 @@ def tipped() -> Tipped:
     return Tipped()
 
 
-def test_where_either_corner_ends_the_side_of_the_other_is_one_turn():
+def test_contacts_whose_corners_end_each_others_sides_have_one_rotation():
     (turn,) = candidate_turns(LOWER, UPPER)
     assert turn == pytest.approx(0.0, abs=0.01)
     (again,) = candidate_turns(LOWER.turned(0.4), UPPER.turned(-0.3))
@@ -117,7 +117,7 @@ def test_where_either_corner_ends_the_side_of_the_other_is_one_turn():
     assert candidate_turns(LOWER, replace(UPPER, height=UPPER.height + 5e-4)) == []
 
 
-def test_the_same_corner_or_the_same_side_is_one_turn_too():
+def test_a_shared_corner_or_side_gives_one_rotation():
     next_side = replace(UPPER, normal=UPPER.normal - 0.8, height=UPPER.height + 5e-4).turned(0.2)
     assert candidate_turns(UPPER, next_side) == [pytest.approx(-0.2)]
     assert candidate_turns(UPPER, replace(next_side, radius=next_side.radius + 1e-3)) == []
@@ -126,14 +126,14 @@ def test_the_same_corner_or_the_same_side_is_one_turn_too():
     assert candidate_turns(LOWER, replace(other_corner, height=LOWER.height - 1e-3)) == []
 
 
-def test_no_corner_is_beyond_a_side():
+def test_a_corner_beyond_a_side_is_excluded():
     at = 0.9 * cmath.exp(1j * LOWER.normal)
     inside = replace(LOWER, corner=at * (LOWER.height - LOWER.radius))
     beyond = replace(inside, corner=at * (LOWER.height + 2e-3))
     assert [len(candidate_turns(LOWER, each)) for each in (inside, beyond)] == [1, 0]
 
 
-def test_an_outline_is_sketched_through_sides_and_corners():
+def test_the_initial_outline_passes_through_sides_and_corners():
     p = constants()
     for each, other in ((LOWER, UPPER), (UPPER, LOWER)):
         touched = np.linspace(*each.touched, 9)
@@ -146,7 +146,7 @@ def test_an_outline_is_sketched_through_sides_and_corners():
         assert slope_of(end, p) == pytest.approx((other.corner * np.exp(-1j * end)).imag, abs=2e-4)
 
 
-def test_contacts_stay_where_they_are_on_a_side_that_is_passed_otherwise(tipped):
+def test_contacts_stay_in_place_on_a_side_of_another_width(tipped):
     record, psi = tipped.gap(0.5, 2.0)
     other = tipped.p.copy()
     other[WIDTH] += 0.7
@@ -158,13 +158,13 @@ def test_contacts_stay_where_they_are_on_a_side_that_is_passed_otherwise(tipped)
     assert supporting_palm(record, Guess(moved, other), 50, 2) == 1
 
 
-def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
+def test_readings_between_two_segments_lead_from_one_to_the_other(tipped):
     gap, psi = tipped.gap(2.4, 4.6)
     before, after = (palm_turn(gap, palm)[:, 0] for palm in (1, 0))
     ways = psi[0] + before, psi[-1] + after - after[-1]
     found = bridged(gap, tipped.p, *ways)
     assert found is not None
-    assert np.abs(found - psi).max() < 0.08  # in the blow; the grid's steps elsewhere
+    assert np.abs(found - psi).max() < 0.08  # in the impact; elsewhere the grid's steps
     assert np.median(np.abs(found - psi)) < 5e-3
     once_round = bridged(gap, tipped.p, ways[0], ways[1] + math.tau)
     assert once_round == pytest.approx(found)
@@ -178,10 +178,12 @@ def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
 def parts(tipped) -> tuple[SideMerger, Part, Part]:
     search = FlatSideSearch(tipped.search)
     groups = [
-        rides for rides in group_by_mode(find_mode_segments(search.record)) if any(ride.excludes_disc for ride in rides)
+        segments
+        for segments in group_by_mode(find_mode_segments(search.record))
+        if any(segment.excludes_disc for segment in segments)
     ]
     assert _neighbours(groups) == {0, 1}
-    one, other = (Part.of(search.fits.on_one_side(rides)[0], rides) for rides in groups[:2])
+    one, other = (Part.of(search.fits.on_one_side(segments)[0], segments) for segments in groups[:2])
     return SideMerger(search.fits), one, other
 
 
@@ -194,7 +196,7 @@ def band(search, both):
     return np.sqrt(np.einsum("in,ij,jn->n", rows, covariance, rows))
 
 
-def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
+def test_segments_on_two_sides_are_joined_to_one_outline(tipped, parts):
     sides, one, other = parts
     both = sides.merged([other, one])
     assert both is not None
@@ -203,22 +205,22 @@ def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
     assert both.fit.chi2 < 1.15
     touched = touched_within(record, guess.x[:, 0])
     assert touched.sum() > 35  # degrees
-    told, true = (sharp.support(directions(), p) for p in (guess.p, tipped.p))
-    error = score_outline(directions(), told, touched, true).e_h
+    estimated, true = (sharp.support(directions(), p) for p in (guess.p, tipped.p))
+    error = score_outline(directions(), estimated, touched, true).e_h
     assert error < 1e-4
     assert error < 3 * band(tipped.search, both)[touched.astype(bool)].mean()
     turned = np.diff(guess.p[NORMALS : NORMALS + 2])[0]
     assert abs(turned) == pytest.approx(UPPER.normal - LOWER.normal, abs=5e-3)
 
 
-def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
+def test_segments_without_a_connecting_motion_are_not_joined(parts, monkeypatch):
     sides, one, other = parts
     for each in ("bridged", "followed_motion"):
         monkeypatch.setattr(f"palmd.observer.side_merging.{each}", lambda *_: None)
     assert sides.merged([one, other]) is None
 
 
-def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
+def test_an_inaccurate_connecting_motion_is_left_out_of_the_fit(parts, monkeypatch):
     sides, one, other = parts
     monkeypatch.setattr("palmd.observer.side_merging.bridged", lambda *_: None)
     both = sides.merged([one, other])
@@ -227,7 +229,7 @@ def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
     assert both.fit.chi2 < 1.15
 
 
-def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
+def test_no_motion_is_connected_over_a_lost_contact(tipped, monkeypatch):
     segment, tried = tipped.search.segment, list[int]()
     monkeypatch.setattr("palmd.observer.side_merging.bridged", lambda *_: tried.append(1))
     first, second = (Search(each, RIG) for each in (segment.until(3.0), segment.since(3.3)))
@@ -240,7 +242,7 @@ def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
 
 
 @pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
-def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
+def test_parts_are_joined_only_if_exactly_one_rotation_explains_both(tipped, monkeypatch, explaining, joined):
     sides = SideMerger(FlatSideSearch(tipped.search).fits)
     whole = Part(None, (LOWER,))  # type: ignore[arg-type]
     monkeypatch.setattr("palmd.observer.side_merging.candidate_turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
@@ -248,7 +250,7 @@ def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined)
     assert (sides.merged_pair(whole, whole) is whole) is joined
 
 
-def test_of_parts_only_what_they_touch_is_touched(tipped):
+def test_only_normals_touched_within_the_parts_count(tipped):
     record = FlatSideSearch(tipped.search).record
     torn = record.within([(0.5, 2.0), (5.0, 7.0)])
     psi = np.interp(torn.t, tipped.record.t, tipped.guess.x[:, 0])
@@ -258,66 +260,69 @@ def test_of_parts_only_what_they_touch_is_touched(tipped):
     assert touched_within(torn, psi).sum() < touched_by(normal_angles(torn.palms, psi)).sum() - 10
 
 
-def test_a_footing_is_read_off_an_outline(tipped):
+def test_a_side_contact_follows_from_an_outline(tipped):
     record, psi = tipped.gap(4.6, 7.5)
     p = tipped.p.copy()
     p[[NORMALS, NORMALS + 1]], p[[LENGTHS, LENGTHS + 1]] = p[[NORMALS + 1, NORMALS]], p[[LENGTHS + 1, LENGTHS]]
-    told = side_contact(record, Guess(np.stack([psi, np.zeros_like(psi)], axis=1), p), 0)
-    assert told.normal == pytest.approx(UPPER.normal)
-    assert abs(told.corner - UPPER.corner) < 1e-4
-    assert (told.height, told.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
+    contact = side_contact(record, Guess(np.stack([psi, np.zeros_like(psi)], axis=1), p), 0)
+    assert contact.normal == pytest.approx(UPPER.normal)
+    assert abs(contact.corner - UPPER.corner) < 1e-4
+    assert (contact.height, contact.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
 
 
-def test_a_side_lies_between_two_corners_that_the_other_palm_comes_to_one_after_the_other():
-    """Corners of 3 mm about 16 mm from the middle, at ± 30° from the side between them."""
+def test_a_side_lies_between_two_corners_touched_in_succession():
+    """Corners of 3 mm at 16 mm from the middle, at ± 30° from the side between them."""
     high = 16e-3 * math.cos(math.pi / 6) + 3e-3
-    ride = ModeSegment(1, 0.0, 2.0, np.array([0.018, 0.003]), 1e-10 * np.eye(2), True)
+    segment = ModeSegment(1, 0.0, 2.0, np.array([0.018, 0.003]), 1e-10 * np.eye(2), True)
     corners = [
-        (2.0 - math.pi / 6, (1.2, 1.9), ride),
-        (2.0 + math.pi / 6, (2.1, 2.8), replace(ride, start=2.03, end=3.0)),
+        (2.0 - math.pi / 6, (1.2, 1.9), segment),
+        (2.0 + math.pi / 6, (2.1, 2.8), replace(segment, start=2.03, end=3.0)),
     ]
     first, last = (
-        SideContact(1, -0.2, high, 0.0, cmath.rect(16e-3, at), 3e-3, felt, (mine,)) for at, felt, mine in corners
+        SideContact(1, -0.2, high, 0.0, cmath.rect(16e-3, at), 3e-3, touched_range, (mine,))
+        for at, touched_range, mine in corners
     )
     assert first.stays_with(last)
     assert last.stays_with(first)
     assert not first.stays_with(replace(last, palm=0))
-    assert not first.stays_with(replace(last, segments=(replace(ride, start=2.2, end=3.0),)))
+    assert not first.stays_with(replace(last, segments=(replace(segment, start=2.2, end=3.0),)))
     for side, corner in zip(side_between(first, last), (first, last), strict=True):
         assert (side.normal, side.height) == pytest.approx((2.0, high))
         assert (side.palm, side.corner, side.segments) == (0, corner.corner, ())
         assert corner.ends_side_of(side)
 
 
-def test_a_footing_is_read_anew_off_what_explains_more(tipped):
-    told = updated_contact(tipped.p, 2, replace(UPPER, normal=UPPER.normal + 0.02, height=1e-2, corner=0j, radius=0.0))
-    assert told.normal == pytest.approx(UPPER.normal)
-    assert abs(told.corner - UPPER.corner) < 1e-4
-    assert (told.height, told.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
+def test_a_side_contact_is_updated_from_a_better_outline(tipped):
+    contact = updated_contact(
+        tipped.p, 2, replace(UPPER, normal=UPPER.normal + 0.02, height=1e-2, corner=0j, radius=0.0)
+    )
+    assert contact.normal == pytest.approx(UPPER.normal)
+    assert abs(contact.corner - UPPER.corner) < 1e-4
+    assert (contact.height, contact.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
 
 
-def test_what_is_told_roughly_may_be_of_sides_that_are_alike():
-    ride = ModeSegment(0, 0.0, 1.0, np.array([0.032, 0.002]), 1e-8 * np.eye(2), True)
-    rough = [ride, replace(ride, start=9.0, end=10.0)]
+def test_uncertain_segments_are_split_since_sides_may_be_similar():
+    segment = ModeSegment(0, 0.0, 1.0, np.array([0.032, 0.002]), 1e-8 * np.eye(2), True)
+    rough = [segment, replace(segment, start=9.0, end=10.0)]
     sharply = [replace(each, covariance=1e-10 * np.eye(2)) for each in rough]
     assert _split_where_uncertain([rough, sharply]) == [sharply, [rough[0]], [rough[1]]]
 
 
-def test_rides_on_one_corner_tell_of_it_by_what_each_knows():
+def test_segments_on_one_corner_are_combined_by_their_information():
     sharp_one, vague = np.diag([1e-10, 1e-8]), np.diag([1e-8, 1e-6])
     one = ModeSegment(0, 0.0, 1.0, np.array([0.016, 0.002]), sharp_one, True)
-    told = combined_corner([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
-    assert told == pytest.approx([0.016 + 0.0011 / 101, 0.002 + 0.001 / 101])
+    combined = combined_corner([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
+    assert combined == pytest.approx([0.016 + 0.0011 / 101, 0.002 + 0.001 / 101])
 
 
 @pytest.mark.parametrize("explains", [True, False])
-def test_a_ride_that_is_not_explained_all_along_is_asked_for_in_pieces(tipped, monkeypatch, explains):
-    ride = ModeSegment(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+def test_a_segment_that_is_not_explained_as_a_whole_is_fitted_in_parts(tipped, monkeypatch, explains):
+    segment = ModeSegment(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
     search, asked = FlatSideSearch(tipped.search), list[tuple[float, float]]()
     found = SimpleNamespace(explains=explains)
-    monkeypatch.setattr("palmd.observer.flat_side_search.find_mode_segments", lambda _: [ride])
+    monkeypatch.setattr("palmd.observer.flat_side_search.find_mode_segments", lambda _: [segment])
     monkeypatch.setattr(
-        search.fits, "on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found]
+        search.fits, "on_one_side", lambda segments: asked.append((segments[0].start, segments[0].end)) or [found]
     )
     assert len(list(search.segment_fits())) == len(asked)
     assert asked == [(1.0, 14.5), *([] if explains else [(1.0, 7.0), (7.0, 13.0)])]

@@ -1,4 +1,4 @@
-"""The least-squares problem of a record: its gradient, its normal matrix, its posterior, its outliers."""
+"""The least-squares problem of a record: gradient, normal matrix, posterior, outliers."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def packed(guess):
 
 
 class Problem:
-    """A short record whose readings, prior and trajectory all agree with one guess: there the cost has its zero."""
+    """A short record whose readings, prior and trajectory all agree with one guess, at which the cost is zero."""
 
     def __init__(self, seconds=SECONDS):
         run = simulated("rig", 1, 2.0)
@@ -80,7 +80,7 @@ def with_outliers(record, share, by, seed=0):
 
 def test_readings_and_motion_of_the_problem_are_consistent(problem):
     fit = problem.smoother.fit(problem.guess, NOISE, iterations=0)
-    # only the first node's own rate is not what the prior expects
+    # only the first node's rate differs from the prior
     assert fit.cost == pytest.approx((problem.guess.x[0, 1] / problem.prior.omega0_sd) ** 2, abs=1e-12)
     assert (fit.chi2, fit.force_chi2, fit.outliers) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     assert problem.smoother.residuals(problem.guess) == pytest.approx(0.0, abs=1e-9)
@@ -104,7 +104,7 @@ def test_the_right_hand_side_is_minus_half_the_gradient_of_the_cost(problem, sha
     assert np.array(gradient)[1:] == pytest.approx(-2 * side[1:], rel=2e-3, abs=1e-4 * np.abs(side[1:]).max())
 
 
-def test_the_normal_matrix_is_half_the_curvature_where_the_residuals_vanish(problem):
+def test_the_normal_matrix_is_half_the_curvature_at_zero_residuals(problem):
     y = packed(problem.guess)
     columns = []
     for i, step in enumerate(problem.scale * 1e-3):
@@ -139,7 +139,7 @@ def test_the_posterior_is_the_inverse_of_the_normal_matrix(problem):
     assert posterior.distance2(off) == pytest.approx(np.linalg.inv(correlation).sum(), rel=1e-6)
 
 
-def test_a_fit_has_its_own_equations_and_others_have_not(problem):
+def test_a_fits_equations_are_reused_for_that_fit_only(problem):
     fit = problem.smoother.fit(problem.guess, NOISE)
     moved = replace(fit, guess=Guess(fit.guess.x, 1.001 * fit.guess.p))
     doubting = problem.smoother.with_knowledge(replace(problem.prior, sd=2.0 * problem.prior.sd))
@@ -151,10 +151,10 @@ def test_a_fit_has_its_own_equations_and_others_have_not(problem):
     assert doubting.posterior(fit).evidence != problem.smoother.posterior(fit).evidence
 
 
-def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
+def test_steps_over_the_dither_speed_are_predicted(problem, monkeypatch):
     prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, 0.3, problem.prior.sd))
     fit = Smoother(problem.library, problem.measured, prior).fit(problem.guess, NOISE)
-    told = marginalised(problem.library, problem.measured, prior, fit)
+    result = marginalised(problem.library, problem.measured, prior, fit)
     ends = []
 
     def from_the_start(prior, start, value):
@@ -165,10 +165,10 @@ def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
     wanted = marginalised(problem.library, problem.measured, prior, fit)
     assert len(ends) > 4
     sd = np.sqrt(np.diagonal(wanted.covariance))
-    off = np.concatenate([told.mean.p - wanted.mean.p, told.mean.x[-1] - wanted.mean.x[-1]])
+    off = np.concatenate([result.mean.p - wanted.mean.p, result.mean.x[-1] - wanted.mean.x[-1]])
     assert (np.abs(off) < 0.1 * sd).all()
-    assert told.mu == pytest.approx(wanted.mu, abs=0.05 * wanted.mu_sd)
-    assert told.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
+    assert result.mu == pytest.approx(wanted.mu, abs=0.05 * wanted.mu_sd)
+    assert result.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
 
 
 @pytest.mark.parametrize("fails", [np.linalg.LinAlgError, None], ids=["raises", "without-a-number"])
@@ -185,26 +185,26 @@ def test_a_step_over_the_dither_speed_without_a_minimum_is_left_out(problem, mon
         return replace(step(smoother, known, start, middle, bent), log_weight=np.nan)
 
     monkeypatch.setattr(marginal, "_step", fails_above)
-    told = marginalised(problem.library, problem.measured, prior, fit)
-    assert np.isfinite(told.covariance).all()
-    assert told.mean.p[C.SATURATION] >= fit.guess.p[C.SATURATION]
+    result = marginalised(problem.library, problem.measured, prior, fit)
+    assert np.isfinite(result.covariance).all()
+    assert result.mean.p[C.SATURATION] >= fit.guess.p[C.SATURATION]
 
 
-def test_of_what_no_reading_tells_the_average_is_what_was_believed(problem):
-    """Steps over the dither speed are weighed in (μ, ln u_d), though the smoother goes by μ/u_d and 1/u_d²."""
+def test_without_information_the_average_is_the_prior(problem):
+    """Steps over the dither speed are weighted in (μ, ln u_d); the smoother uses μ/u_d and 1/u_d²."""
     spread = 0.3
     prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, spread, problem.prior.sd))
     of = problem.record
     vague = replace(of, contact_variance=1e8 * of.contact_variance, force_variance=1e8 * of.force_variance)
     fit = Smoother(problem.library, vague, prior).fit(problem.guess, NOISE)
-    told = marginalised(problem.library, vague, prior, fit)
+    result = marginalised(problem.library, vague, prior, fit)
     mu, dither = prior.mean[C.DRAG], np.exp(prior.mean[C.SATURATION])
-    assert told.mean.p[C.DRAG] == pytest.approx(mu / dither * np.exp(spread**2 / 2), rel=0.02)
-    assert told.mean.p[C.SATURATION] == pytest.approx(dither**-2 * np.exp(2 * spread**2), rel=0.02)
-    assert (told.mu, told.mu_sd) == pytest.approx((mu, prior.sd[C.DRAG]), rel=0.02)
+    assert result.mean.p[C.DRAG] == pytest.approx(mu / dither * np.exp(spread**2 / 2), rel=0.02)
+    assert result.mean.p[C.SATURATION] == pytest.approx(dither**-2 * np.exp(2 * spread**2), rel=0.02)
+    assert (result.mu, result.mu_sd) == pytest.approx((mu, prior.sd[C.DRAG]), rel=0.02)
 
 
-def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
+def test_a_fit_converges_to_the_truth_from_nearby(problem):
     random = np.random.default_rng(2)
     y = packed(problem.guess) + 30 * problem.scale * random.standard_normal(len(problem.scale))
     start = problem.smoother.fit(unpacked(y), NOISE, iterations=0)
@@ -216,31 +216,31 @@ def test_a_fit_comes_back_to_the_truth_from_nearby(problem):
 
 
 @pytest.mark.parametrize(("promise", "fall"), [(0.05, -0.4), (0.3, -0.01), (0.2, 0.0), (0.1, -5.0)])
-def test_a_step_that_is_rejected_tells_what_is_left_on_the_way(promise, fall):
+def test_the_largest_decrease_along_a_rejected_step(promise, fall):
     t = np.linspace(0.0, 1.0, 100001)
-    cost = -2.0 * promise * t + (2.0 * promise - fall) * t**2  # its slope is twice what the step promises
+    cost = -2.0 * promise * t + (2.0 * promise - fall) * t**2  # its slope is twice what the step predicts
     assert cost[-1] == pytest.approx(-fall)
     assert _largest_decrease(promise, fall) == pytest.approx(-cost.min(), rel=1e-6)
 
 
-def test_outliers_do_not_bend_the_answer():
+def test_outliers_do_not_bias_the_result():
     problem = Problem(seconds=1.8)
     clean = Smoother(problem.library, problem.measured, problem.prior)
-    spoilt = Smoother(problem.library, with_outliers(problem.measured, 0.03, 5e-3), problem.prior)
-    wanted, fit = clean.fit(problem.guess, NOISE), spoilt.fit(problem.guess, NOISE)
+    corrupted = Smoother(problem.library, with_outliers(problem.measured, 0.03, 5e-3), problem.prior)
+    wanted, fit = clean.fit(problem.guess, NOISE), corrupted.fit(problem.guess, NOISE)
     assert fit.settled
     assert 0.01 < fit.outliers < 0.06
     sd = np.sqrt(np.diagonal(clean.posterior(wanted).covariance))[:CONSTANTS]
     assert np.abs((fit.guess.p - wanted.guess.p) / sd).max() < 1.0
 
 
-def test_a_longer_record_is_completed_by_the_model(problem):
+def test_a_shorter_guess_is_completed_by_the_model(problem):
     known = Guess(problem.guess.x[:5], problem.guess.p)
     assert problem.smoother.completed(known).x == pytest.approx(problem.guess.x, abs=1e-12)
     assert problem.smoother.completed(problem.guess) is problem.guess
 
 
-def test_a_guess_moves_to_other_nodes_along_its_cubic(problem):
+def test_a_guess_is_interpolated_to_other_nodes_by_its_cubic(problem):
     t = problem.record.t
     halfway = (t[:-1] + t[1:]) / 2
     moved = problem.guess.on(t, halfway)
@@ -250,7 +250,7 @@ def test_a_guess_moves_to_other_nodes_along_its_cubic(problem):
     assert problem.guess.on(t, t).x == pytest.approx(problem.guess.x, abs=1e-12)
 
 
-def test_fits_that_share_a_budget_end_where_it_is_spent():
+def test_fits_that_share_a_budget_end_when_it_is_spent():
     run = simulated("rig", 1, 2.0)
     search = Search(longest_segment(run.events), run.rig)
     nodes, budget = len(search.record.t), Budget()

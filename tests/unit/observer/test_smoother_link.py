@@ -1,4 +1,4 @@
-"""The smoother at the bank's side: what it finds joins the bank, and the estimate is the better for it."""
+"""The smoother beside a filter bank: its answers join the bank and improve the estimate."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run() -> Run:
 
 
 class Refusing:
-    """A smoother that at one time vouches for nothing, and later gives an improvement."""
+    """A smoother that first gives a refusal and later an improvement."""
 
     def __init__(self, refusal: Improvement | Unexplained, ready: float, improvement: Improvement | None):
         self.script: list[tuple[float, Improvement | Unexplained | None]] = [
@@ -54,7 +54,7 @@ class Refusing:
 
 
 class Silent:
-    """A smoother that has nothing to say; since when it was told that which object has been there."""
+    """A smoother without answers that records the submitted sessions."""
 
     def __init__(self) -> None:
         self.sessions: set[tuple[int, float]] = set()
@@ -68,7 +68,7 @@ class Silent:
 
 
 class Scripted:
-    """A smoother that has one improvement to give, at one time."""
+    """A smoother that gives one improvement at one time."""
 
     def __init__(self, ready: float, improvement: Improvement | None):
         self.ready, self.improvement = ready, improvement
@@ -87,12 +87,12 @@ class Scripted:
 
 @pytest.fixture(scope="module")
 def answers(run: Run) -> Answers:
-    """What a smoother says of the readings up to a time (s), found once for all tests."""
+    """Answers of a smoother for the readings up to a time (s), computed once for all tests."""
     return cache(partial(answer, run))
 
 
 def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improvement | None:
-    """What a smoother says of the readings up to `end` (s)."""
+    """The answer of a smoother for the readings up to `end` (s)."""
     smoother = IncrementalSmoother(rig or run.rig)
     smoother.add(Session(1, 0.0), [event for event in run.events if event.t_sample <= end])
     return smoother.answer()
@@ -120,7 +120,7 @@ def radius_errors(run: Run, watcher: observer.Observer, since: float) -> FloatAr
     return np.array(errors)
 
 
-def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run) -> None:
+def test_the_smoother_makes_the_observer_more_accurate_than_the_bank_alone(run: Run) -> None:
     alone = radius_errors(run, observer.make("shape", run.rig), 3.0)
     improved = radius_errors(run, observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig)), 3.0)
     rms = math.sqrt(np.mean(improved**2))
@@ -130,7 +130,7 @@ def test_the_improved_observer_is_nearer_the_truth_than_the_bank_alone(run: Run)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [3, 5])
-def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_it(seed: int) -> None:
+def test_an_object_that_quickly_replaces_another_is_distinguished(seed: int) -> None:
     at, gap, end = 9.0, 0.2, 14.0
     _, second, events = swapped("rig", seed, at, gap, end)
     run = replace(second, events=events)
@@ -143,7 +143,7 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
 
 
 @pytest.mark.parametrize("word", ["no outline", "none for sure", "hardly any"])
-def test_what_no_outline_explains_or_none_for_sure_or_sharp_is_not_valid_until_one_does(run: Run, word: str) -> None:
+def test_a_refusal_by_the_smoother_makes_the_estimate_invalid_until_an_improvement(run: Run, word: str) -> None:
     found, early = answer(run, 4.0), answer(run, 3.0)
     assert early is not None
     doubtful = replace(early, established=False, touched=np.zeros_like(early.touched))
@@ -160,7 +160,7 @@ def test_what_no_outline_explains_or_none_for_sure_or_sharp_is_not_valid_until_o
 
 
 def shaken(run: Run, by: float, since: float, until: float) -> Run:
-    """Its contacts off to and fro by so much (m) from one time to another (s)."""
+    """The run with contacts displaced to and fro by `by` (m) from `since` to `until` (s)."""
     events = tuple(
         replace(event, s=event.s + by * math.sin(40.0 * event.t_sample))
         if isinstance(event, PadSample) and since < event.t_sample < until
@@ -170,40 +170,40 @@ def shaken(run: Run, by: float, since: float, until: float) -> Run:
     return replace(run, events=events)
 
 
-def test_before_a_smoother_has_spoken_what_surprises_is_not_valid(run: Run) -> None:
-    """A bank takes a thing with edges for a smooth one, and shrinks; here readings are off to and fro for a while."""
+def test_before_the_first_answer_a_failed_innovation_test_makes_it_invalid(run: Run) -> None:
+    """A bank fits a smooth outline to an object with edges with a shrinking sd; here readings are displaced instead."""
     off = shaken(run, 0.15e-3, 0.0, 2.0)
     sharp = []
     for smoothing in (None, Silent()):
-        told = list(ticks(off, observer.make("shape", run.rig, smoothing=smoothing)))
-        sharp.append([max(e.sd["r1"], e.sd["r2"]) < SETTLED.radius_sd_m for _, e in told if e.valid])
+        replayed = list(ticks(off, observer.make("shape", run.rig, smoothing=smoothing)))
+        sharp.append([max(e.sd["r1"], e.sd["r2"]) < SETTLED.radius_sd_m for _, e in replayed if e.valid])
     alone, beside = sharp
     assert not all(alone)
     assert any(beside)
     assert all(beside)
 
 
-def test_what_a_smoother_has_vouched_for_once_is_not_valid_while_it_surprises_much(run: Run) -> None:
-    """Seen with an ellipse: vouched for wrongly, then told to a millimetre and more, and valid."""
+def test_after_a_confirmation_a_strongly_failed_innovation_test_makes_it_invalid(run: Run) -> None:
+    """Observed with an ellipse: wrongly confirmed, then published as valid with an sd above a millimetre."""
     watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answer(run, 3.0)))
-    told = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
-    assert any(sd > CONTRADICTED_M for t, _, sd in told if t > 4.0)
-    assert all(sd < CONTRADICTED_M for t, valid, sd in told if t > 4.0 and valid)
-    assert all(valid for t, valid, _ in told if 3.2 < t < 4.0)
+    replayed = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
+    assert any(sd > CONTRADICTED_M for t, _, sd in replayed if t > 4.0)
+    assert all(sd < CONTRADICTED_M for t, valid, sd in replayed if t > 4.0 and valid)
+    assert all(valid for t, valid, _ in replayed if 3.2 < t < 4.0)
 
 
-def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is_valid_again() -> None:
+def test_after_a_loss_in_place_the_estimate_is_invalid_for_a_while() -> None:
     _, second, events = swapped("rig", 3, 4.0, 0.2, 12.0)
     watcher = observer.make("shape", replace(second, events=events).rig)
-    told = list(ticks(replace(second, events=events), watcher))
-    begun = next(t for t, estimate in told if estimate.object_count == 2)
-    assert any(estimate.valid for t, estimate in told if t < 4.0)
-    assert not any(estimate.valid for t, estimate in told if begun < t < begun + DISTRUSTED_S)
-    assert any(estimate.valid for t, estimate in told if t > begun + DISTRUSTED_S)
+    replayed = list(ticks(replace(second, events=events), watcher))
+    begun = next(t for t, estimate in replayed if estimate.object_count == 2)
+    assert any(estimate.valid for t, estimate in replayed if t < 4.0)
+    assert not any(estimate.valid for t, estimate in replayed if begun < t < begun + DISTRUSTED_S)
+    assert any(estimate.valid for t, estimate in replayed if t > begun + DISTRUSTED_S)
 
 
 @pytest.mark.parametrize(("hinge", "kept"), [("fixed", True), ("arc", False)])
-def test_what_a_bank_led_astray_by_unequal_palms_loses_is_a_smoothers_still(hinge: HingeMode, kept: bool) -> None:
+def test_the_smoother_keeps_an_object_that_the_bank_loses_by_unequal_friction(hinge: HingeMode, kept: bool) -> None:
     _, second, events = swapped("rig", 3, 4.0, 0.2, 9.0)
     rig, silent = replace(second.rig, hinge=hinge, friction_sd=0.3), Silent()
     watcher = observer.make("shape", rig, smoothing=silent)
@@ -218,10 +218,10 @@ def test_the_same_log_gives_the_same_estimates(run: Run) -> None:
     watchers = [observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig)) for _ in range(2)]
     first, second = ([estimate for _, estimate in ticks(short, watcher)] for watcher in watchers)
     assert all(watcher.improvements > 0 for watcher in watchers)
-    assert repr(first) == repr(second)  # NaN equals itself there
+    assert repr(first) == repr(second)  # NaN equals itself in this form
 
 
-def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run, answers: Answers) -> None:
+def test_psi_is_continuous_when_an_improvement_takes_the_lead(run: Run, answers: Answers) -> None:
     end = 3.0
     improvement = answers(end)
     assert improvement is not None
@@ -229,13 +229,13 @@ def test_psi_goes_on_without_a_jump_when_an_improvement_takes_the_lead(run: Run,
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
     psi = np.array([[t, estimate.psi, estimate.omega0] for t, estimate in ticks(run, watcher) if 2.5 < t < 4.0])
     assert watcher.improvements == 1
-    assert smoothing.count >= len(run.events) - 2  # all but those after the last tick
+    assert smoothing.count >= len(run.events) - 2  # all except those after the last tick
     step = np.abs(np.diff(psi[:, 1]) - 0.01 * psi[1:, 2])
     joined = np.searchsorted(psi[:, 0], end + 0.05)
     assert step[joined:].max() < 1.5 * step[:joined].max()
 
 
-def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) -> None:
+def test_an_improvement_of_an_earlier_object_is_rejected(run: Run) -> None:
     n = shape_map.size(ORDER)
     stale = improvement(np.zeros(n), np.eye(n), t=-1.0)
     watcher = observer.make("shape", run.rig, smoothing=Scripted(1.0, stale))
@@ -244,7 +244,7 @@ def test_an_improvement_from_before_the_present_object_is_not_taken(run: Run) ->
     assert watcher.improvements == 0
 
 
-def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run, answers: Answers) -> None:
+def test_an_improvement_contradicted_by_its_readings_is_rejected(run: Run, answers: Answers) -> None:
     end = 3.0
     right = answers(end)
     assert right is not None
@@ -256,13 +256,13 @@ def test_an_improvement_that_its_own_readings_contradict_is_turned_away(run: Run
     assert np.abs(errors).max() < 0.5e-3
 
 
-def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run: Run, answers: Answers) -> None:
+def test_a_propagated_improvement_equals_a_filter_present_all_the_time(run: Run, answers: Answers) -> None:
     since, until = 2.0, 2.8
     improvement = answers(since)
     assert improvement is not None
     recent = [event for event in run.events if event.t_sample <= until]
     newcomer = FilterCatchUp(run.rig)
-    delays = np.random.default_rng(5).uniform(0.0, 0.9 * LATEST_S, len(recent))  # of the wires
+    delays = np.random.default_rng(5).uniform(0.0, 0.9 * LATEST_S, len(recent))  # of the connections
     came = sorted(zip(recent, delays, strict=True), key=lambda each: each[0].t_sample + each[1])
     newcomer.begin(improvement, deque(event for event, _ in came))
     while not newcomer.advance(3):
@@ -291,7 +291,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     assert 0.5 < nis < 1.5
 
 
-def test_events_without_a_time_do_not_pile_up(run: Run) -> None:
+def test_events_without_a_time_do_not_accumulate(run: Run) -> None:
     smoothing = Scripted(math.inf, None)
     watcher = observer.make("shape", run.rig, smoothing=smoothing)
     watcher.feed(PadSample(math.nan, 1, 0.02))
@@ -312,8 +312,8 @@ def test_a_simulated_smoother_answers_after_its_latency(run: Run) -> None:
     assert simulated_smoother.collect(3.52) is None
 
 
-def test_rigs_differ() -> None:
-    """The rig is given to every run of the smoother: gravity on the moon gives another object."""
+def test_each_smoother_uses_its_own_rig() -> None:
+    """With the moon's gravity the result is another object."""
     run = simulated("nominal", 3, 4.0)
     here = answer(run, 4.0)
     there = answer(run, 4.0, RigDescription(gravity=1.62, hinge="fixed"))

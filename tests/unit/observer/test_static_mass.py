@@ -15,7 +15,7 @@ RIG = RigDescription(hinge="fixed")
 
 
 def lying(seconds: float, seed: int, turning: float = 0.0, forces: bool = True):
-    """An object that has come to rest in the emulated plant, and what the pads say of it."""
+    """An object at rest in the emulated plant, and the pads' readings of it."""
     rng = np.random.default_rng(seed)
     body = random_body("friction", rng)
     palms = PalmMotion.at_rest((0.7, 1.6))
@@ -42,7 +42,7 @@ def test_an_object_at_rest_is_weighed(seed):
     assert weighed.sd < 0.005 * true
 
 
-def test_what_moves_is_not_weighed():
+def test_a_moving_object_is_not_weighed():
     events, _ = lying(2.0, 1, turning=0.1)
     assert math.isnan(mass_at_rest(events, RIG).value)
 

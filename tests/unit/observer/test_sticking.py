@@ -1,4 +1,4 @@
-"""Whether friction sticks is told from forces, slowly turning palms and nothing else."""
+"""Whether contacts stick is determined from forces, slow palm motion and nothing else."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palmd.events import PadSample, PalmMotion
 from palmd.observer.sticking import LIFTED_S, StickingWatch
 from palmd.system.vibration import DRY, Vibration
 
-SWING, RATE = 0.15, 3.0  # rad, rad/s: the opening's
+SWING, RATE = 0.15, 3.0  # rad, rad/s, of the opening
 
 
 def rocked(
@@ -21,7 +21,7 @@ def rocked(
     gains: tuple[float, float] = (1.0, 1.0),
     begin: float = 0.0,
 ) -> float:
-    """Ten seconds of a round object at rest between palms that rub by `friction` of the opening's rate (rad/s)."""
+    """Ten seconds of a round object at rest between palms whose friction depends on the opening's rate (rad/s)."""
     chance, t = random.Random(3), begin
     for i in range(1000):
         t = begin + 0.01 * i
@@ -36,20 +36,20 @@ def rocked(
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0), (0.6, 1.5)])
-def test_what_rubs_as_hard_at_any_speed_sticks_and_where_it_lies_is_told(gains: tuple[float, float]) -> None:
+def test_rate_independent_friction_means_sticking_contacts(gains: tuple[float, float]) -> None:
     watch = StickingWatch()
     rocked(watch, lambda opens: math.copysign(0.2, opens), gains)
     assert watch.contacts == (0.021, 0.022)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.25])
-def test_what_dithers_does_not(mu: float) -> None:
+def test_averaged_friction_means_no_sticking(mu: float) -> None:
     watch = StickingWatch()
     rocked(watch, lambda opens: mu * math.tanh(0.02 * opens / 8e-3))
     assert watch.contacts is None
 
 
-def test_nothing_is_said_of_what_was_taken_away_nor_by_palms_that_stand() -> None:
+def test_a_lifted_object_or_palms_at_rest_give_no_decision() -> None:
     watch = StickingWatch()
     t = rocked(watch, lambda opens: math.copysign(0.2, opens))
     standing = PalmMotion.at_rest((0.8, 1.6))
@@ -64,7 +64,7 @@ def test_nothing_is_said_of_what_was_taken_away_nor_by_palms_that_stand() -> Non
     assert watch.contacts is None
 
 
-def test_readings_without_force_say_nothing() -> None:
+def test_readings_without_force_give_no_decision() -> None:
     watch = StickingWatch()
     for i in range(300):
         for pad in (1, 2):
@@ -73,7 +73,7 @@ def test_readings_without_force_say_nothing() -> None:
     assert watch.contacts is None
 
 
-def test_what_vibrates_fast_and_hard_enough_never_sticks() -> None:
+def test_fast_and_strong_vibration_prevents_sticking() -> None:
     strong, weak = (Vibration(frequency=250.0, speed=speed) for speed in (0.02, 0.002))
     for vibration, sticks in ((strong, False), (weak, True)):
         watch = StickingWatch(vibration)
@@ -82,7 +82,7 @@ def test_what_vibrates_fast_and_hard_enough_never_sticks() -> None:
 
 
 @pytest.mark.parametrize(("mu", "frictionless"), [(0.0, True), (0.05, False)])
-def test_forces_show_whether_there_is_friction_at_all(mu: float, frictionless: bool) -> None:
+def test_forces_show_whether_there_is_friction(mu: float, frictionless: bool) -> None:
     watch = StickingWatch(DRY)
     assert not watch.frictionless
     rocked(watch, lambda opens: math.copysign(mu, opens))

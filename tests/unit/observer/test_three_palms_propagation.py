@@ -1,4 +1,4 @@
-"""A body between three palms followed along a record: blind to the right form, window by window as well as at once."""
+"""A body between three palms is propagated along a record from blind starts, by windows and as a whole."""
 
 import math
 from dataclasses import replace
@@ -43,7 +43,7 @@ COARSE_ORDER = 3
 
 
 def laid_out_run(seed):
-    """One body's log, laid out, and its truth."""
+    """The log of one body, laid out, and its truth."""
     (body,) = simulate("friction", 1, SECONDS, seed=seed)
     log = log_of(SYSTEM, body.lines)
     return *path_and_readings(log), log.rig, body.truth
@@ -65,11 +65,11 @@ def task(run):
 
 
 def started(task):
-    """A rival of the first 1.3 s."""
+    """A hypothesis of the first 1.3 s."""
     return propagation.fit_blind_starts(task, task.record(1.3), beliefs.start_assumptions())[0]
 
 
-def test_a_body_is_found_blind_from_starts_that_meet(run):
+def test_a_body_is_found_by_agreeing_blind_starts(run):
     path, readings, rig, truth = run
     found = reconstruct(path, readings, rig)
     error, ratio = errors(found, truth)
@@ -78,8 +78,8 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
     assert found.contacts.shape == (len(found.t), 3, 3)
 
 
-def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, monkeypatch):
-    """None is compiled while a body lies on the palms, where there may be no compiler."""
+def test_kernels_of_all_degrees_of_a_blind_start_are_built_before_a_run(task, monkeypatch):
+    """No kernel is compiled while a body lies on the palms, where a compiler may be missing."""
     asked = set()
     monkeypatch.setattr(smoother, "CompiledEquations", lambda *given: asked.add(given[-1]) or CompiledEquations(*given))
     live = replace(task, finer_orders=())
@@ -90,8 +90,8 @@ def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, mon
 
 
 @pytest.mark.parametrize("intervals", [1, 31, 32, 70])
-def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
-    """Of more instants than kernels take at once, too; the motion off, so that nothing cancels."""
+def test_compiled_equations_agree_with_numpy(task, right, intervals):
+    """Also with more instants than a kernel call takes; with a wrong motion, so that nothing cancels."""
     random, record = np.random.default_rng(intervals), task.full_record.first(intervals)
     nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
     motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
@@ -117,7 +117,7 @@ def test_a_record_without_readings_has_equations(task, right):
     assert squares == pytest.approx(PlainEquations(*given).at(motion).squares, rel=1e-9)
 
 
-def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
+def test_the_beginning_of_a_record_equals_its_own_layout(task):
     for intervals in (1, 37, len(task.full_record.middle_palms)):
         own = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
         some = task.full_record.first(intervals)
@@ -128,7 +128,7 @@ def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
             np.testing.assert_array_equal(getattr(some.readings, name), getattr(own.readings, name))
 
 
-def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):
+def test_short_starts_are_tried_only_if_starts_of_the_first_seconds_fail(task, monkeypatch):
     sought = []
     monkeypatch.setattr(propagation, "start_candidates", lambda _, seconds: sought.append(seconds) or [])
     finer = []
@@ -142,7 +142,7 @@ def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_no
     assert sought == list(propagation.SHORT_STARTS_S)
 
 
-def test_all_of_a_record_is_explained_as_a_whole_where_its_beginning_leads_astray(task, monkeypatch):
+def test_a_record_is_fitted_as_a_whole_if_its_beginning_misleads(task, monkeypatch):
     asked = []
     monkeypatch.setattr(propagation, "start_candidates", lambda *_: [])
     monkeypatch.setattr(
@@ -158,17 +158,17 @@ def test_all_of_a_record_is_explained_as_a_whole_where_its_beginning_leads_astra
     assert [each for _, each in asked] == ways
 
 
-def met(task):
-    """What two blind starts of all of it meet in."""
+def agreed_start(task):
+    """The hypothesis on which two blind starts of the whole record agree."""
     return propagation.fit_blind_starts(task, task.record(SECONDS), beliefs.start_assumptions())[0]
 
 
 @pytest.fixture(scope="module")
 def right(task):
-    return met(task)
+    return agreed_start(task)
 
 
-def test_who_explains_all_of_a_record_too_dearly_does_not_end_the_search(task, right, monkeypatch):
+def test_a_costly_explanation_of_the_whole_record_does_not_end_the_search(task, right, monkeypatch):
     begun = []
 
     def starts(_):
@@ -186,7 +186,7 @@ def test_who_explains_all_of_a_record_too_dearly_does_not_end_the_search(task, r
     assert begun == [0, 1]
 
 
-def test_what_is_no_body_neither_ends_the_search_nor_comes_before_one(task, right, monkeypatch):
+def test_an_implausible_body_neither_ends_the_search_nor_ranks_first(task, right, monkeypatch):
     p = right.motion.p.copy()
     p[-BODY] = 2 * propagation.MOST_LAMBDA
     impossible = replace(right, motion=replace(right.motion, p=p), cost=right.cost - 1.0)
@@ -196,7 +196,7 @@ def test_what_is_no_body_neither_ends_the_search_nor_comes_before_one(task, righ
 
 
 def coarsened(task, right):
-    """All of the record as an outline explains it that leaves much out."""
+    """The whole record, explained by a strongly truncated outline."""
     prior = beliefs.prior(Y00 * right.prior.mean[0], COARSE_ORDER, task.spin_sd)
     p = np.concatenate([right.motion.p[: count(COARSE_ORDER)], right.motion.p[-BODY:]])
     smoother = BodySmoother(right.record, prior, task.noise, task.rig)
@@ -212,17 +212,17 @@ def coarse(task, right):
 
 
 @pytest.fixture(scope="module")
-def nearly():
-    """A task of another body, whose coarse explanation leaves a cost of 4σ too much.
+def nearly_explained():
+    """A task of another body, whose coarse explanation exceeds the expected cost by 4σ.
 
-    `coarse` leaves 27σ, of which the first iterations with finer harmonics explain less than half.
+    `coarse` exceeds it by 27σ, of which the first iterations with finer harmonics explain less than half.
     """
     task = task_of(laid_out_run(4))
-    return task, coarsened(task, met(task))
+    return task, coarsened(task, agreed_start(task))
 
 
-def test_what_is_not_explained_to_its_noise_is_by_finer_harmonics(nearly):
-    task, coarse = nearly
+def test_finer_harmonics_explain_an_excess_cost(nearly_explained):
+    task, coarse = nearly_explained
     assert coarse.excess_sd > propagation.EXCESS_SD
     beside = replace(coarse, motion=replace(coarse.motion, omega=coarse.motion.omega + 1e-3), cost=coarse.cost + 20.0)
     lost = replace(coarse, cost=coarse.cost + 50.0)
@@ -230,11 +230,11 @@ def test_what_is_not_explained_to_its_noise_is_by_finer_harmonics(nearly):
     assert finer.cost < coarse.cost - propagation.PRUNE_COST
     assert finer.excess_sd < propagation.EXCESS_SD
     assert len(finer.motion.p) == len(finer.end_belief.mean) == count(ORDER) + BODY
-    assert other.excess_sd < propagation.EXCESS_SD  # who costs about as little is compared by the same
+    assert other.excess_sd < propagation.EXCESS_SD  # hypotheses of similar cost are compared at the same order
     assert still is lost
 
 
-def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain(task, coarse, right, monkeypatch):
+def test_refinement_keeps_explained_and_inexplicable_hypotheses(task, coarse, right, monkeypatch):
     assert propagation.refine_near_best(task, [right]) == [right]
     assert propagation.refine_near_best(task, []) == []
     cheap = replace(coarse, cost=right.cost + propagation.PRUNE_COST - 10.0)
@@ -242,10 +242,10 @@ def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain
     (tried,) = propagation.refine_near_best(task, [cheap])
     assert tried == replace(cheap, refined=cheap.intervals)
     monkeypatch.setattr(BodySmoother, "fit", None)
-    assert propagation.refine_near_best(task, [tried]) == [tried]  # once is enough
+    assert propagation.refine_near_best(task, [tried]) == [tried]  # one attempt is enough
 
 
-def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, monkeypatch):
+def test_degrees_are_increased_while_the_cost_falls_enough(task, coarse, monkeypatch):
     asked = []
     gains = iter((propagation.PRUNE_COST + 1.0, propagation.PRUNE_COST + 2.0, propagation.PRUNE_COST - 1.0))
     left = [coarse.cost]
@@ -261,12 +261,12 @@ def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, 
     assert asked == [count(order) + BODY for order in (4, 5, 6)]
 
 
-def test_who_is_explained_by_finer_harmonics_is_asked_for_no_finer_ones(nearly):
-    task, coarse = nearly
+def test_an_explained_hypothesis_gets_no_finer_harmonics(nearly_explained):
+    task, coarse = nearly_explained
     assert propagation.refine_outline(task, coarse, (ORDER, ORDER + 1)).order == ORDER
 
 
-def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_what_is_believed_of_any_body(coarse):
+def test_raising_a_beliefs_order_keeps_it_and_adds_the_prior(coarse):
     raised = beliefs.belief_with_order(coarse.end_belief, 5)
     n, more = 6 + count(COARSE_ORDER), count(5) - count(COARSE_ORDER)
     kept = np.r_[:n, n + more : len(raised.information)]
@@ -279,17 +279,17 @@ def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_wh
     assert np.count_nonzero(added) == more
 
 
-def test_who_is_fitted_as_it_grows_is_explained_by_finer_harmonics_or_given_up(task, right, coarse, monkeypatch):
+def test_a_costly_hypothesis_is_refined_or_marked_as_diverged(task, right, coarse, monkeypatch):
     assert propagation._refine_or_mark_diverged(task, right) is right
     monkeypatch.setattr(propagation, "refine_outline", lambda _, now, __: replace(now, cost=right.cost))
     slippery = replace(coarse, motion=replace(coarse.motion, p=np.append(coarse.motion.p[:-2], [0.0, -4.6])))
     assert propagation._refine_or_mark_diverged(task, slippery) == replace(slippery, cost=right.cost)
     assert propagation._refine_or_mark_diverged(task, coarse) == replace(coarse, diverged=True)
     assert propagation._refine_or_mark_diverged(task, coarse).lost
-    assert propagation._refine_or_mark_diverged(replace(task, finer_orders=()), coarse) is coarse  # live it goes on
+    assert propagation._refine_or_mark_diverged(replace(task, finer_orders=()), coarse) is coarse  # live it continues
 
 
-def test_who_has_gone_astray_is_followed_no_further(task, monkeypatch):
+def test_a_diverged_hypothesis_is_not_propagated_further(task, monkeypatch):
     now = started(task)
     monkeypatch.setattr(propagation, "_refine_or_mark_diverged", lambda _, each: replace(each, diverged=True))
     ended = propagation.propagate(task, now, task.intervals(SECONDS))
@@ -299,7 +299,7 @@ def test_who_has_gone_astray_is_followed_no_further(task, monkeypatch):
     assert only.lost
 
 
-def test_windows_lead_to_what_all_at_once_leads_to(task):
+def test_propagation_by_windows_equals_the_fit_of_the_whole_record(task):
     ahead = propagation.propagate(task, started(task), task.intervals(SECONDS))
     whole = propagation.refit(task, ahead, 20)
     assert ahead.growth_since_refit > 1.0
@@ -309,27 +309,27 @@ def test_windows_lead_to_what_all_at_once_leads_to(task):
     assert ahead.cost_per_number < 1.15
 
 
-def strange(now):
-    """It, at a cost that is more than three of its one-sigmas too much."""
+def above_chance(now):
+    """The hypothesis with an excess cost of more than three one-sigmas."""
     cost = now.record.numbers + 3.2 * math.sqrt(2.0 * now.record.numbers)
     return replace(now, cost=cost, confirmed=0)
 
 
-def test_a_short_costly_or_finely_bent_record_is_alone_until_another_start_comes_to_it(right, monkeypatch):
+def test_short_costly_or_high_order_hypotheses_need_confirmation(right, monkeypatch):
     alone = replace(right, confirmed=0)
     assert right.intervals * SPACING_S < propagation.CONFIRMED_S
     assert alone.needs_confirmation
     assert not right.needs_confirmation
     monkeypatch.setattr(propagation, "CONFIRMED_S", 1.0)  # it is long enough
     assert not alone.needs_confirmation
-    assert strange(right).needs_confirmation
-    assert not replace(strange(right), confirmed=right.intervals).needs_confirmation
+    assert above_chance(right).needs_confirmation
+    assert not replace(above_chance(right), confirmed=right.intervals).needs_confirmation
     monkeypatch.setattr(propagation, "FINER_ORDERS", (ORDER - 1, ORDER))
     assert alone.needs_confirmation
     assert not right.needs_confirmation
 
 
-def test_who_is_alone_and_right_comes_back_when_begun_from_itself(task, right, monkeypatch):
+def test_a_right_hypothesis_is_confirmed_by_a_restart_from_itself(task, right, monkeypatch):
     monkeypatch.setattr(propagation, "EXCESS_SD", -math.inf)
     again = propagation._restart_from_itself(task, replace(right, confirmed=0))
     assert again.is_duplicate_of(right)
@@ -337,23 +337,23 @@ def test_who_is_alone_and_right_comes_back_when_begun_from_itself(task, right, m
     beside = replace(right, motion=replace(right.motion, omega=right.motion.omega + 0.1), confirmed=0)
     led = propagation._restart_from_itself(task, replace(beside, cost=right.cost + 30.0))
     assert led.is_duplicate_of(right)
-    assert led.needs_confirmation  # who leads elsewhere is not found again by that
+    assert led.needs_confirmation  # a restart that ends elsewhere does not confirm
 
 
-def test_who_is_alone_and_wrong_stays_so_and_is_begun_from_itself_once(task, right, monkeypatch):
+def test_a_wrong_hypothesis_is_restarted_once_and_stays_unconfirmed(task, right, monkeypatch):
     elsewhere = replace(right.whole_fit.motion, omega=right.motion.omega + 0.5)
     monkeypatch.setattr(propagation, "graduated_fit", lambda *_: replace(right.whole_fit, motion=elsewhere))
     monkeypatch.setattr(BodySmoother, "fit", lambda *_, **__: replace(right.whole_fit, motion=elsewhere, cost=math.inf))
-    alone = propagation._restart_from_itself(task, strange(right))
-    assert alone == replace(strange(right), restarted=right.intervals)
+    alone = propagation._restart_from_itself(task, above_chance(right))
+    assert alone == replace(above_chance(right), restarted=right.intervals)
     monkeypatch.setattr(propagation, "graduated_fit", None)
     assert propagation._restart_from_itself(task, alone) is alone
-    dear = replace(strange(right), cost=2.0 * right.record.numbers)
-    assert propagation._restart_from_itself(task, dear) is dear  # and who explains nothing not at all
+    expensive = replace(above_chance(right), cost=2.0 * right.record.numbers)
+    assert propagation._restart_from_itself(task, expensive) is expensive  # no restart without an explanation
 
 
-def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(task, right, monkeypatch):
-    alone = replace(strange(right), restarted=right.intervals)
+def test_unconfirmed_hypotheses_do_not_end_the_search_and_are_rejected(task, right, monkeypatch):
+    alone = replace(above_chance(right), restarted=right.intervals)
     monkeypatch.setattr(propagation, "propagate_and_prune", lambda _task, running, **_: running)
     monkeypatch.setattr(propagation, "refine_near_best", lambda _task, ended: ended)
     monkeypatch.setattr(propagation, "_start_sets", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
@@ -366,9 +366,9 @@ def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(tas
     assert not rejection_reason(task, [replace(alone, confirmed=right.intervals)], sd, 0.0)
 
 
-def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(task, monkeypatch):
+def test_branches_are_compared_over_the_same_time(task, monkeypatch):
     now = started(task)
-    monkeypatch.setattr(propagation, "WINDOW_TURN_RAD", 0.02)  # none comes far in one window
+    monkeypatch.setattr(propagation, "WINDOW_TURN_RAD", 0.02)  # no branch gets far in one window
     short = propagation._extended(task, now, propagation.BRANCH_WINDOW_S, task.intervals(SECONDS))
     assert short.intervals < now.intervals + round(propagation.BRANCH_WINDOW_S / SPACING_S)
     ways = propagation._branches(task, now, task.intervals(SECONDS))
@@ -377,7 +377,7 @@ def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(t
 
 
 def spinning(belief, about, more):
-    """The belief's motion, its spin off by a hump of 3 rad/s about one axis (1, 2 or 3)."""
+    """The belief's motion with a spin error, a hump of 3 rad/s about one axis (1, 2 or 3)."""
     wrong = np.outer(3.0 * np.sin(np.linspace(0.0, math.pi, more + 1)), np.eye(3)[about - 1])
     omega = belief.spin + wrong
     steps = rotation.exp(0.5 * SPACING_S * (omega[1:] + omega[:-1]))
@@ -398,16 +398,16 @@ def spinning(belief, about, more):
         ),
     ],
 )
-def test_a_window_is_foretold_by_either_guess_where_the_other_is_misled(task, monkeypatch, misled):
+def test_a_window_is_predicted_from_one_guess_if_the_other_is_wrong(task, monkeypatch, misled):
     now = started(task)
-    foretold = propagation._extended(task, now, 0.5, task.intervals(SECONDS))
+    predicted = propagation._extended(task, now, 0.5, task.intervals(SECONDS))
     monkeypatch.setattr(propagation, "graduated_refit", lambda _task, _record, _prior, fit: fit)
-    monkeypatch.setattr(propagation, misled, lambda *_: spinning(now.end_belief, 2, foretold.windows[-1][0]))
+    monkeypatch.setattr(propagation, misled, lambda *_: spinning(now.end_belief, 2, predicted.windows[-1][0]))
     again = propagation._extended(task, now, 0.5, task.intervals(SECONDS))
-    assert again.last_window_cost == pytest.approx(foretold.last_window_cost, abs=0.05)
+    assert again.last_window_cost == pytest.approx(predicted.last_window_cost, abs=0.05)
 
 
-def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, monkeypatch):
+def test_live_a_window_starts_from_the_contacts_guess_only(task, monkeypatch):
     now = started(task)
     monkeypatch.setattr(propagation, "_constant_spin_guess", None)
     monkeypatch.setattr(BodySmoother, "fit_nodes", None)
@@ -417,7 +417,7 @@ def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, m
     )
 
 
-def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):
+def test_graduated_re_optimisation_leaves_a_wrong_minimum(task):
     now = started(task)
     record = lay_out(task.path, task.readings, task.start + now.intervals * SPACING_S, 25, SPACING_S)
     smoother = BodySmoother(record, now.end_belief, task.noise, task.rig)
@@ -430,14 +430,14 @@ def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_a
     assert graduated_refit(task, record, now.end_belief, within) is within
 
 
-def test_what_easing_makes_dearer_stays_as_it_was(task, monkeypatch):
+def test_a_graduated_refit_of_higher_cost_is_discarded(task, monkeypatch):
     now = started(task)
     fit = replace(now.whole_fit, cost=now.record.numbers * 1.5)
     monkeypatch.setattr(BodySmoother, "fit", lambda *_, **__: replace(now.whole_fit, cost=math.inf))
     assert graduated_refit(task, now.record, now.prior, fit) is fit
 
 
-def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_one(task, right):
+def test_blind_starts_of_the_whole_record_correct_a_wrong_minimum(task, right):
     assert right.merged > 1
     assert right.confirmed == right.intervals
     beside = replace(
@@ -450,17 +450,17 @@ def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_
     assert beside in others
     (alone, *_) = propagation.confirm_by_restarts(task, [beside], islice(beliefs.start_assumptions(), 1))
     assert alone.is_duplicate_of(right)
-    assert not alone.is_confirmed  # nobody else has come there, and another is near
+    assert not alone.is_confirmed  # no other start agrees, and another hypothesis is near
 
 
-def test_what_was_found_twice_in_a_long_record_needs_no_other_start_any_more(right):
-    long = replace(right, confirmed=300)  # of 6 s
+def test_a_hypothesis_confirmed_over_a_long_record_stays_confirmed(right):
+    long = replace(right, confirmed=300)  # 6 s
     nodes = np.zeros((round(20.0 / 0.02), 36))
     assert replace(long, record=replace(right.record, middle_palms=nodes)).is_confirmed
     assert not replace(long, confirmed=299, record=replace(right.record, middle_palms=nodes)).is_confirmed
 
 
-def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, right):
+def test_without_near_blind_starts_a_restart_from_itself_must_agree(task, right):
     (alone,) = propagation.confirm_by_restarts(task, [replace(right, confirmed=0)], ())
     assert alone.is_confirmed
     assert alone.is_duplicate_of(right)
@@ -471,7 +471,7 @@ def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, 
     assert others
 
 
-def test_nodes_alone_are_fitted_by_the_same_equations(task):
+def test_fitting_nodes_alone_uses_the_same_equations(task):
     now = propagation.fit_blind_starts(task, task.record(1.5), islice(beliefs.start_assumptions(), 1))[0]
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
     moved = replace(now.motion, omega=now.motion.omega + 0.01)
@@ -480,7 +480,7 @@ def test_nodes_alone_are_fitted_by_the_same_equations(task):
     np.testing.assert_array_equal(alone.arrow.nodes_step(1e-6), whole.arrow.nodes_step(1e-6))
 
 
-def test_nothing_is_left_of_what_was_evaluated_before(task):
+def test_evaluations_do_not_depend_on_earlier_ones(task):
     now = propagation.fit_blind_starts(task, task.record(1.5), islice(beliefs.start_assumptions(), 1))[0]
     one, other = (BodySmoother(now.record, now.prior, task.noise, task.rig) for _ in range(2))
     moved = now.motion.moved(np.full((len(now.motion.R), 6), 0.01), np.full(len(now.motion.p), 1e-5))
@@ -493,13 +493,13 @@ def test_nothing_is_left_of_what_was_evaluated_before(task):
             assert np.array_equal(getattr(again.arrow, name), getattr(fresh.arrow, name)), name
 
 
-def test_a_fit_ends_where_no_step_promises_anything(task):
+def test_a_fit_ends_when_no_decrease_is_predicted(task):
     fit = started(task).whole_fit
     nodes, step = fit.arrow.solve(1e-9)
-    assert fit.arrow.predicted_decrease(nodes, step) < 1.0  # in cost, where one number read adds 1
+    assert fit.arrow.predicted_decrease(nodes, step) < 1.0  # in cost, to which each number read adds 1
 
 
-def test_an_arrow_promises_what_a_step_gains():
+def test_the_predicted_decrease_equals_the_actual_one():
     random = np.random.default_rng(5)
     r, left, right, by = (random.normal(size=(4, 8, *each)) for each in ((), (6,), (6,), (3,)))
     arrow = Arrow.empty(5, 3)
@@ -512,7 +512,7 @@ def test_an_arrow_promises_what_a_step_gains():
     assert max(moved) < arrow.predicted_decrease(alone, np.zeros(3))
 
 
-def test_a_rival_that_foretells_nothing_is_lost(task):
+def test_a_hypothesis_with_repeatedly_failed_predictions_is_lost(task):
     now = started(task)
     assert not now.lost
     assert replace(now, windows=((25, 1.0), (25, 9.0), (25, 9.0))).lost
@@ -520,34 +520,34 @@ def test_a_rival_that_foretells_nothing_is_lost(task):
 
 
 @pytest.fixture(scope="module")
-def surprised(task):
-    """Foretold badly half a second ago, and calm."""
+def failed_once(task):
+    """A hypothesis whose innovation test failed half a second ago, at slow spin."""
     record = task.record(2.0)
     motion = BodyMotion(np.eye(3)[None], np.full((len(record.node_palms), 3), 0.1), np.zeros(1))
     return replace(started(task), record=record, motion=motion, windows=((25, 1.0), (5, 3.5), (20, 1.1), (5, 1.3)))
 
 
 def at_spin(now, before, rad_s):
-    """The same, so many intervals ago spinning so fast."""
+    """The hypothesis with this spin (rad/s) so many intervals ago."""
     omega = now.motion.omega.copy()
     omega[now.intervals - before] = 0.0, rad_s, 0.0
     return replace(now, motion=replace(now.motion, omega=omega))
 
 
-def test_who_was_startled_lately_says_so(surprised):
-    tumbled = at_spin(surprised, 60, propagation.TUMBLE_RAD_S + 0.1)
+def test_a_recent_failed_innovation_test_is_reported(failed_once):
+    tumbled = at_spin(failed_once, 60, propagation.TUMBLE_RAD_S + 0.1)
     assert [tumbled.failed_innovation_test(lately) for lately in (0, 25, 26)] == [False, False, True]
 
 
-@pytest.mark.parametrize(("before", "startled"), [(24, False), (25, True), (80, True), (81, False)])
-def test_only_after_a_tumble_does_more_than_one_way_lead_on(surprised, before, startled):
-    """What turns slowly and is foretold badly is sharp."""
-    assert not surprised.failed_innovation_test(26)
-    assert at_spin(surprised, before, propagation.TUMBLE_RAD_S + 0.1).failed_innovation_test(26) is startled
-    assert not at_spin(surprised, before, propagation.TUMBLE_RAD_S - 0.1).failed_innovation_test(26)
+@pytest.mark.parametrize(("before", "failed"), [(24, False), (25, True), (80, True), (81, False)])
+def test_the_innovation_test_fails_only_after_a_tumble(failed_once, before, failed):
+    """A slowly turning body has a single continuation, even if a prediction fails."""
+    assert not failed_once.failed_innovation_test(26)
+    assert at_spin(failed_once, before, propagation.TUMBLE_RAD_S + 0.1).failed_innovation_test(26) is failed
+    assert not at_spin(failed_once, before, propagation.TUMBLE_RAD_S - 0.1).failed_innovation_test(26)
 
 
-def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
+def test_a_rotation_of_the_whole_body_is_not_an_error_of_its_shape():
     directions = icosphere(2)[0]
     rows, points = evaluator(4)(directions)
     random = np.random.default_rng(3)
@@ -560,18 +560,18 @@ def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
     assert np.abs(form @ (turned - c)).max() < 1e-3 * np.abs(rows @ (turned - c)).max()
 
 
-def test_a_rival_that_ends_early_is_refused(task):
+def test_a_hypothesis_that_ends_early_is_rejected(task):
     now = started(task)
-    told = reconstruction_of(task, [now])
-    assert not told.converged
-    assert "fails after 1.3 s" in told.reason
+    result = reconstruction_of(task, [now])
+    assert not result.converged
+    assert "fails after 1.3 s" in result.reason
 
 
-def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out():
+def test_unexplained_readings_reduce_the_information_about_truncated_harmonics():
     p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
     fitted, short, missed = (surface(p, 1e-15 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
-    centre = 0.75 / np.sqrt((ORDER + 2) ** 2 * 100 / len(touched))  # so many lobes of the next degree on the sphere
+    centre = 0.75 / np.sqrt((ORDER + 2) ** 2 * 100 / len(touched))  # number of lobes of the next degree on the sphere
     left = np.sqrt(touched.mean())
     assert fitted[0] == pytest.approx(np.hypot(left, centre) * fitted[-1], rel=0.01)
     assert short[0] == pytest.approx(np.hypot(0.5 + 0.5 * left, centre) * fitted[-1], rel=0.01)
@@ -579,7 +579,7 @@ def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out()
     assert missed[-1] == pytest.approx(fitted[-1], rel=0.01)
 
 
-def test_what_is_read_beyond_its_noise_is_alike_in_many_numbers_and_widens_the_band():
+def test_excess_residuals_are_correlated_and_widen_the_band():
     p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
     noisy, missed = (surface(p, 1e-10 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.1))
@@ -588,15 +588,15 @@ def test_what_is_read_beyond_its_noise_is_alike_in_many_numbers_and_widens_the_b
     np.testing.assert_allclose(ratio, 1.0 + 0.1 * beliefs.CORRELATED_NUMBERS, rtol=1e-6)
 
 
-def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touched():
+def test_truncation_affects_the_centre_of_mass_less_with_more_coverage():
     number = np.arange(len(icosphere()[0]))
-    bands = [float(truncation_sd(0.02, 8, number < felt * len(number))[0]) for felt in (0.001, 0.01, 0.25, 1.0)]
+    bands = [float(truncation_sd(0.02, 8, number < share * len(number))[0]) for share in (0.001, 0.01, 0.25, 1.0)]
     everywhere = ABOVE_DEGREE_8_RMS * 0.02
     left = np.sqrt([0.001, 0.01, 0.25, 1.0])
     assert bands == pytest.approx(np.hypot(left, [0.75, 0.75, 0.15, 0.075]) * everywhere, rel=0.02)
 
 
-def test_contacts_that_are_off_mislead_the_centre_of_mass_by_as_much():
+def test_unexplained_contact_errors_widen_the_centre_of_mass_equally():
     p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
     sd = beliefs.unexplained_sd(1e-4, 0.25)
@@ -609,7 +609,7 @@ def test_contacts_that_are_off_mislead_the_centre_of_mass_by_as_much():
     np.testing.assert_allclose((heights * evaluator(ORDER)(icosphere()[0])[0]).sum(axis=1), sd**2)
 
 
-def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
+def test_marginalisation_keeps_the_excess_cost(task):
     now = started(task)
     costly = replace(now, cost=1.2 * now.record.numbers)
     chance = math.sqrt(2.0 / now.record.numbers)
@@ -622,26 +622,26 @@ def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
     kept = propagation.marginalised(task, costly, now.intervals // 2, touched)
     assert kept.marginalised[0] + kept.record.numbers == now.record.numbers
     assert kept.excess_cost_per_number() == pytest.approx(costly.excess_cost_per_number())
-    assert kept.cost_per_number < 1.1  # of what is left
+    assert kept.cost_per_number < 1.1  # of the rest
     again = propagation.marginalised(task, kept, kept.intervals // 2, touched)
     assert again.excess_cost_per_number() == pytest.approx(costly.excess_cost_per_number())
 
 
-def test_what_is_folded_is_believed_as_what_was_felt_tells_it(task, monkeypatch):
-    """Else few harmonics hold on to all that was read, and tell surface that nobody has felt."""
+def test_marginalisation_uses_the_predictive_belief(task, monkeypatch):
+    """Otherwise the low order would extrapolate all readings to surface that was never touched."""
     now, asked = started(task), []
     monkeypatch.setattr(
         propagation, "predictive_belief", lambda *given: asked.append(given) or predictive_belief(*given)
     )
     touched = directions_near(now.touched_normals)
     prior = propagation.marginalised(task, now, now.intervals // 2, touched).prior
-    ((ahead, felt),) = asked
-    assert felt is touched
+    ((ahead, touched_directions),) = asked
+    assert touched_directions is touched
     np.testing.assert_array_equal(prior.mean, predictive_belief(ahead, touched).mean)
     assert not np.allclose(prior.mean, ahead.mean)
 
 
-def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
+def test_a_concave_body_is_made_convex_and_a_convex_one_is_unchanged():
     directions = icosphere(2)[0]
     h = np.full(len(directions), 0.02)
     points = 0.02 * directions
@@ -651,7 +651,7 @@ def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
 
 
 def hollow(task, share):
-    """A rival that is hollow where it was touched, its parameters known to `share` of what is believed beforehand."""
+    """A hypothesis that is concave where it was touched, with parameters known to `share` of their prior sd."""
     now, random = started(task), np.random.default_rng(2)
     p = now.motion.p.copy()
     fine = slice(count(8), count(ORDER))
@@ -662,28 +662,28 @@ def hollow(task, share):
 
 
 @pytest.mark.parametrize(("share", "allowed"), [(1.0, True), (0.03, False)])
-def test_a_hollow_is_no_body_only_where_what_is_known_allows_of_no_convex_one(task, share, allowed):
+def test_a_concave_body_is_implausible_only_if_no_convex_one_is_within_its_uncertainty(task, share, allowed):
     now = hollow(task, share)
     covariance = np.linalg.inv(now.end_belief.information)
     x = np.concatenate([np.zeros(6), now.motion.p])
     assert curvatures(x[6 : 6 + count(ORDER)], now.touched_normals).min() < -1e-3
-    told, chi2 = now.made_convex(x, covariance)
+    result, chi2 = now.made_convex(x, covariance)
     assert now.plausible == allowed == (chi2 < propagation.HOLLOW_CHI2)
     assert bool(rejection_reason(task, [now], np.full(3, 1e-5), chi2))
     assert (
         not allowed
-        or curvatures(told[6 : 6 + count(ORDER)], now.touched_normals[:: propagation.CURVATURE_EVERY]).min() > 0.0
+        or curvatures(result[6 : 6 + count(ORDER)], now.touched_normals[:: propagation.CURVATURE_EVERY]).min() > 0.0
     )
 
 
-def test_what_is_convex_where_it_was_touched_is_told_as_it_is(task):
+def test_a_body_convex_where_it_was_touched_is_unchanged(task):
     now = started(task)
-    told, chi2 = now.made_convex(now.motion.p, np.eye(len(now.motion.p)))
+    result, chi2 = now.made_convex(now.motion.p, np.eye(len(now.motion.p)))
     assert chi2 == 0.0
-    assert np.array_equal(told, now.motion.p)
+    assert np.array_equal(result, now.motion.p)
 
 
-def test_an_answer_is_refused_beside_another_that_costs_as_little(task):
+def test_an_answer_is_rejected_beside_another_of_similar_cost(task):
     now = started(task)
     spun = replace(now, motion=replace(now.motion, omega=now.motion.omega + 0.2))
     short = replace(task, end=float(now.record.t[-1]))

@@ -1,4 +1,4 @@
-"""The blind start between three palms: what given contacts tell of the motion, without rotation or shape."""
+"""The blind start between three palms: motion from given contacts, without rotation or shape."""
 
 import math
 
@@ -18,7 +18,7 @@ from tools.studies.space_logs import simulate
 SECONDS, SPACING = 1.2, 0.02
 
 
-def test_a_ball_is_found_by_its_contacts():
+def test_a_ball_is_found_from_its_contacts():
     angle = np.array([[0.9, 0.8, 0.7]])
     normal = palms_at(angle, 0 * angle, 0 * angle).normal
     centre, radius = np.array([0.001, 0.02, 0.03]), 0.02
@@ -27,7 +27,7 @@ def test_a_ball_is_found_by_its_contacts():
     np.testing.assert_allclose(radii, radius, atol=1e-15)
 
 
-def test_a_smoothing_spline_is_scipys():
+def test_the_smoothing_spline_agrees_with_scipy():
     random = np.random.default_rng(0)
     t = np.cumsum(random.uniform(5e-3, 15e-3, 300))
     y = np.sin(3 * t) + 0.1 * random.normal(size=len(t))
@@ -38,7 +38,7 @@ def test_a_smoothing_spline_is_scipys():
         np.testing.assert_allclose(mine.derivative()(between), scipys.derivative()(between), atol=1e-8)
 
 
-def test_given_contacts_tell_how_centre_and_spin_go_on():
+def test_given_contacts_determine_the_derivatives_of_centre_and_spin():
     (run,) = simulate("friction", 1, SECONDS + 0.1, seed=2)
     truth, log = run.truth, log_of(SYSTEM, run.lines)
     path, readings = path_and_readings(log)
@@ -50,10 +50,10 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     rates = kernels.driven()(given, (constants, log.rig.kernel_constants))[0]
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
-    assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4
+    assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: a contact error of 40 µm gives 4
 
 
-def test_a_body_that_nothing_rubs_is_found_blindly():
+def test_a_frictionless_body_is_found_from_a_blind_start():
     run = simulate("drag", 1, 1.6, seed=9541)[0]
     log = log_of(SYSTEM, run.lines)
     path, readings = path_and_readings(log)

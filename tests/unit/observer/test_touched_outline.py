@@ -1,4 +1,4 @@
-"""A body's outline as what was felt tells it, of bodies that no finite set of harmonics holds."""
+"""The predictive belief of a body's outline from its touched part, for bodies with infinitely many harmonics."""
 
 import math
 
@@ -21,7 +21,7 @@ UNTOUCHED = DIRECTIONS[:, 2] < math.cos(math.radians(75.0))
 
 
 def fitted(seed):
-    """Heights of a body all over, and what a fit of degree `ORDER` makes of very many readings of a part of it."""
+    """True heights of a body, and the fit of degree `ORDER` to very many readings of a part of it."""
     random = np.random.default_rng(seed)
     coefficients = random.normal(0.0, np.sqrt(shape_variance(RADIUS, TRUE_ORDER)))
     coefficients[0] = RADIUS / Y00
@@ -37,7 +37,7 @@ def fitted(seed):
     return heights, np.concatenate([c, lam, [0.0, 0.1, -4.6]]), whole
 
 
-def told(p):
+def heights_of(p):
     return evaluator(ORDER)(DIRECTIONS)[0] @ p[:N]
 
 
@@ -50,23 +50,23 @@ def rms(x):
     return math.sqrt(np.mean(np.square(x)))
 
 
-def test_what_was_never_felt_is_told_better_and_within_its_bands():
+def test_the_untouched_outline_is_more_accurate_and_within_its_bands():
     before, after, sigmas, kept = [], [], [], []
     for seed in range(8):
         heights, p, covariance = fitted(seed)
         q, known = touched_outline(p, covariance, TOUCHED)
-        before.append(rms((told(p) - heights)[UNTOUCHED]))
-        after.append(rms((told(q) - heights)[UNTOUCHED]))
-        sigmas.append(rms(((told(q) - heights) / bands(known))[UNTOUCHED]))
-        kept.append(rms((told(q) - told(p))[TOUCHED]) / truncation_sd(RADIUS, ORDER, TOUCHED).min())
+        before.append(rms((heights_of(p) - heights)[UNTOUCHED]))
+        after.append(rms((heights_of(q) - heights)[UNTOUCHED]))
+        sigmas.append(rms(((heights_of(q) - heights) / bands(known))[UNTOUCHED]))
+        kept.append(rms((heights_of(q) - heights_of(p))[TOUCHED]) / truncation_sd(RADIUS, ORDER, TOUCHED).min())
     assert np.median(after) < 0.7 * np.median(before)
     assert rms(sigmas) < 1.5
-    assert rms(((told(p) - heights) / bands(covariance))[UNTOUCHED]) > 2.0  # as the fit has it
+    assert rms(((heights_of(p) - heights) / bands(covariance))[UNTOUCHED]) > 2.0  # of the plain fit
     assert max(kept) < 2.0
 
 
-def test_what_heights_are_off_by_together_is_not_forgotten():
-    """As where the centre of mass is hardly known: all heights are told from there."""
+def test_a_common_error_of_all_heights_is_kept():
+    """For example with a poorly known centre of mass, from which all heights are measured."""
     _, p, covariance = fitted(4)
     covariance[7:10, 7:10] += 4.0 * np.pi / 3.0 * (2e-4) ** 2 * np.eye(3)
     _, known = touched_outline(p, covariance, TOUCHED)
@@ -75,7 +75,7 @@ def test_what_heights_are_off_by_together_is_not_forgotten():
     assert 0.9 * before < after < 1.1 * before
 
 
-def test_the_inertia_is_the_same_and_as_well_known():
+def test_the_inertia_and_its_covariance_are_unchanged():
     _, p, covariance = fitted(3)
     random = np.random.default_rng(0)
     covariance[6, 6 + N : 12 + N] = covariance[6 + N : 12 + N, 6] = (
@@ -99,10 +99,12 @@ def test_the_inertia_is_the_same_and_as_well_known():
     assert np.linalg.eigvalsh(known)[0] > 0.0
 
 
-def test_a_fit_that_tells_a_negative_radius_ends_nothing():
+def test_a_fit_with_a_negative_mean_radius_is_handled():
     _, p, covariance = fitted(6)
     rows = evaluator(ORDER)(DIRECTIONS)[0]
-    p[:N] = np.linalg.lstsq(rows, RADIUS * (4.0 * DIRECTIONS[:, 2] - 1.0), rcond=None)[0]  # above 0 where it was felt
+    p[:N] = np.linalg.lstsq(rows, RADIUS * (4.0 * DIRECTIONS[:, 2] - 1.0), rcond=None)[
+        0
+    ]  # positive in the touched part
     assert p[0] < 0.0
     q, known = touched_outline(p, covariance, TOUCHED)
     assert q[0] > 0.0
@@ -110,7 +112,7 @@ def test_a_fit_that_tells_a_negative_radius_ends_nothing():
     assert np.isfinite(known).all()
 
 
-def test_turn_spin_and_friction_stay_as_they_are_believed():
+def test_rotation_spin_and_friction_are_unchanged():
     _, p, covariance = fitted(1)
     covariance[0, 3] = covariance[3, 0] = 5e-5
     q, known = touched_outline(p, covariance, TOUCHED)
@@ -119,7 +121,7 @@ def test_turn_spin_and_friction_stay_as_they_are_believed():
     np.testing.assert_array_equal(known[-3:, -3:], covariance[-3:, -3:])
 
 
-def test_a_finer_outline_is_told_by_fewer_degrees():
+def test_a_finer_outline_is_projected_to_fewer_degrees():
     random = np.random.default_rng(5)
     n = count(16)
     c = random.normal(0.0, np.sqrt(shape_variance(RADIUS, 16)))
@@ -128,11 +130,11 @@ def test_a_finer_outline_is_told_by_fewer_degrees():
     everywhere = np.ones(len(DIRECTIONS), np.bool_)
     q, known = touched_outline(p, 1e-14 * np.eye(6 + n + BODY), everywhere, ORDER)
     assert (len(q), known.shape) == (N + BODY, (6 + N + BODY,) * 2)
-    off = rms(told(q) - evaluator(16)(DIRECTIONS)[0] @ c)
-    assert off < 1.3 * rms(evaluator(16)(DIRECTIONS)[0][:, N:] @ c[N:])  # no more than the degrees that are left out
+    off = rms(heights_of(q) - evaluator(16)(DIRECTIONS)[0] @ c)
+    assert off < 1.3 * rms(evaluator(16)(DIRECTIONS)[0][:, N:] @ c[N:])  # at most the omitted degrees
 
 
-def test_a_record_goes_on_with_it_and_with_what_cannot_be_told_as_it_is():
+def test_the_predictive_belief_replaces_a_belief_unless_it_is_empty():
     _, p, covariance = fitted(2)
     ahead = BodyPrior(np.eye(3), np.zeros(3), p, np.linalg.inv(covariance))
     q, known = touched_outline(p, covariance, TOUCHED)
@@ -144,5 +146,5 @@ def test_a_record_goes_on_with_it_and_with_what_cannot_be_told_as_it_is():
 
 
 def test_near_is_within_four_degrees():
-    felt = np.array([[0.0, 0.0, 1.0]])
-    assert directions_near(felt) == pytest.approx(DIRECTIONS[:, 2] >= math.cos(math.radians(4.0)))
+    touched = np.array([[0.0, 0.0, 1.0]])
+    assert directions_near(touched) == pytest.approx(DIRECTIONS[:, 2] >= math.cos(math.radians(4.0)))

@@ -1,4 +1,4 @@
-"""One rule for `valid`: every single piece of evidence can withhold it."""
+"""The rule for `valid`: each single piece of evidence can withhold it."""
 
 import math
 
@@ -34,7 +34,7 @@ GOOD = Evidence(
 )
 
 
-def test_with_all_the_evidence_it_is_settled():
+def test_with_all_evidence_the_estimate_is_settled():
     assert settled(GOOD, LEAST)
 
 
@@ -55,11 +55,11 @@ def test_with_all_the_evidence_it_is_settled():
         {"explained": False},
     ],
 )
-def test_without_any_one_piece_it_is_not(missing):
+def test_without_any_single_piece_of_evidence_it_is_not_settled(missing):
     assert not settled(GOOD._replace(**missing), LEAST)
 
 
-def test_readings_may_neither_surprise_nor_agree_too_well():
+def test_the_nis_has_an_upper_limit():
     assert consistent(1.0)
     assert consistent(0.1)
     assert not any(consistent(nis) for nis in (MOST_NIS, 3.0, math.nan))
@@ -73,7 +73,7 @@ def test_an_object_is_identified_with_hysteresis():
     assert not identified(DECIDED - 1e-3, before=True)
 
 
-def test_a_motion_can_be_foretold_by_an_answer_that_is_not_settled_yet():
+def test_an_unsettled_estimate_may_predict_motion():
     sharp, old = 0.9 * PREDICTABLE_SD_M, 1.1 * PREDICTABLE_AGE_S
     assert predictable(finite=True, read_lately=True, age_s=old, radius_sd_m=sharp)
     assert not predictable(finite=False, read_lately=True, age_s=old, radius_sd_m=sharp)

@@ -56,9 +56,9 @@ def test_mass_is_told_by_a_slide_alone(run):
     _, truth, result = run
     if truth["kind"] == "tilt":
         assert result["com_from_pivot_m"] is result["inertia_pivot_m2"] is result["mass_kg"] is None
-        assert "mass" in result["not_told"][0]
+        assert "mass" in result["unobservable"][0]
         return
-    assert result["not_told"] == []
+    assert result["unobservable"] == result["not_told"] == []
     assert result["mass_kg"] == pytest.approx(truth["mass_kg"], abs=4 * result["mass_sd_kg"])
     sd = np.array(result["com_from_pivot_sd_m"])
     assert (np.abs(np.array(result["com_from_pivot_m"]) + truth["pivot_m"]) < 4 * sd + 1e-4).all()
@@ -68,7 +68,7 @@ def test_the_library_says_the_same(run):
     log, _, result = run
     told = palmd.reconstruct(log)
     assert (told.system, told.converged) == ("pivot", True)
-    assert told.told["hP_m"] == result["hP_m"]
+    assert told.results["hP_m"] == result["hP_m"]
     assert told.trajectory["psi_rad"].tolist() == result["trajectory"]["psi_rad"]
     with pytest.raises(palmd.PalmdError, match="no outline: the results of the system pivot"):
         told.outline_xy()

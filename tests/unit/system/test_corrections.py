@@ -6,7 +6,7 @@ from palmd.system.corrections import corrections
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 9])
-def test_it_is_the_natural_cubic_spline_through_the_points_and_constant_beyond(count):
+def test_corrections_are_the_natural_cubic_spline_and_constant_beyond_its_ends(count):
     random = np.random.default_rng(count)
     at = np.sort(random.uniform(0.0, 50.0, count))
     values = random.normal(0.0, 0.1, count)

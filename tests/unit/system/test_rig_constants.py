@@ -1,4 +1,4 @@
-"""What the rig's constants are called, and when one of them is said to be off."""
+"""Names of the rig's constants, and when an error in one of them is reported."""
 
 from dataclasses import replace
 
@@ -12,8 +12,11 @@ from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors
 PRIORS = prior_sds(RigDescription().known_to(AS_CALIBRATED))
 
 
-def off(name: str, sigmas: float, left: float, contradicted: bool = False) -> list[str]:
-    """What is said of one constant that is so many one-sigmas off, of which readings have left so much."""
+def reported_error(name: str, sigmas: float, left: float, contradicted: bool = False) -> list[str]:
+    """Messages about one constant that is `sigmas` one-sigmas off;
+
+    `left` is its posterior 1σ as a share of its prior 1σ.
+    """
     sds = PRIORS.copy()
     sds[RIG_NAMES.index(name)] *= left
     values = np.zeros(RIG_CONSTANTS)
@@ -21,7 +24,7 @@ def off(name: str, sigmas: float, left: float, contradicted: bool = False) -> li
     return describe_rig_errors(values, sds, PRIORS, contradicted * (values != 0.0))
 
 
-def test_the_table_is_in_the_order_of_the_smoothers_constants():
+def test_the_table_has_the_order_of_the_smoothers_constants():
     first = {R.ZERO: "zero_m", R.SCALE: "scale", R.SAGITTA: "sagitta_m", R.LAG: "lag_s", R.STANDOFF: "standoff_m",
              R.FORCE: "force_m_per_n"}  # fmt: skip
     for index, name in first.items():
@@ -33,15 +36,15 @@ UNCERTAIN = [constant for constant, sd in zip(RIG_TABLE, PRIORS, strict=True) if
 
 
 @pytest.mark.parametrize("constant", UNCERTAIN, ids=lambda constant: constant.name)
-def test_only_what_readings_have_told_to_be_off_is_said(constant):
-    assert off(constant.name, 3.9, 0.1) == off(constant.name, 50.0, 0.65) == []
-    (said,) = off(constant.name, -4.1, 0.55)
-    assert said.startswith(constant.subject)
-    assert said.endswith(f"{constant.negative_error_text or constant.error_text}: {constant.remedy}")
-    assert ("seems -" in said) == (not constant.negative_error_text)
+def test_an_error_is_reported_only_if_the_readings_have_determined_it(constant):
+    assert reported_error(constant.name, 3.9, 0.1) == reported_error(constant.name, 50.0, 0.65) == []
+    (message,) = reported_error(constant.name, -4.1, 0.55)
+    assert message.startswith(constant.subject)
+    assert message.endswith(f"{constant.negative_error_text or constant.error_text}: {constant.remedy}")
+    assert ("seems -" in message) == (not constant.negative_error_text)
 
 
-def test_a_constant_that_the_configuration_knows_is_never_told():
+def test_an_exactly_known_constant_is_never_reported():
     rig = RigDescription().known_to(AS_CALIBRATED)
     exact = prior_sds(replace(rig, pads=(replace(rig.pads[0], zero_sd=0.0), rig.pads[1])))
     values, sds = np.zeros(RIG_CONSTANTS), np.maximum(exact, 1e-9)
@@ -49,15 +52,17 @@ def test_a_constant_that_the_configuration_knows_is_never_told():
     assert describe_rig_errors(values, sds, exact, np.zeros(RIG_CONSTANTS)) == []
 
 
-def test_what_contradicts_the_configuration_is_said_however_wide_its_band():
-    (said,) = off("pad1_scale", 2.0, 10.0, contradicted=True)
-    assert said.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
+def test_a_contradicted_constant_is_reported_however_large_its_sd():
+    (message,) = reported_error("pad1_scale", 2.0, 10.0, contradicted=True)
+    assert message.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
 
 
-def test_it_is_said_with_as_many_digits_as_are_known():
-    assert off("pad2_zero_m", 10.3, 0.31) == [
+def test_an_error_is_reported_with_the_digits_that_its_sd_supports():
+    assert reported_error("pad2_zero_m", 10.3, 0.31) == [
         "pad 2's zero seems +0.32 ± 0.03 mm off: palmd calibrate self finds its zero_mm"
     ]
-    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: check its adapter's latency timer"]
-    (said,) = off("friction_asymmetry", 30.0, 0.04)
-    assert said.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")
+    assert reported_error("pad1_lag_s", -7.0, 0.2) == [
+        "pad 1's time seems 2.8 ± 0.4 ms early: check its adapter's latency timer"
+    ]
+    (message,) = reported_error("friction_asymmetry", 30.0, 0.04)
+    assert message.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")

@@ -1,4 +1,4 @@
-"""Three palms in space: the mechanism's kinematics both ways."""
+"""Kinematics of the three-palm mechanism, forward and inverse."""
 
 import numpy as np
 import pytest
@@ -21,12 +21,12 @@ def angles_of(normal):
 
 
 def moving(t, a, b, c):
-    """Angles, rates and accelerations (T, 3) of some smooth motion."""
+    """Angles, rates and accelerations (T, 3) of a smooth motion."""
     t = t[:, None]
     return a + b * np.sin(c * t), b * c * np.cos(c * t), -b * c**2 * np.sin(c * t)
 
 
-def test_normals_and_their_rates_are_those_of_the_joints(random):
+def test_normals_and_their_rates_follow_from_the_joints(random):
     constants = np.array([0.9, 0.8, 0.7]), random.uniform(0.2, 0.5, 3), random.uniform(1.0, 3.0, 3)
     t, step = np.linspace(0.0, 2.0, 9), 1e-5
     now, ahead, behind = (palms_at(*moving(t + shift, *constants)) for shift in (0.0, step, -step))
@@ -41,13 +41,13 @@ def test_normals_and_their_rates_are_those_of_the_joints(random):
         np.testing.assert_allclose((axis * now.normal).sum(-1), 0.0, atol=1e-14)
 
 
-def test_the_joints_follow_from_the_normals(random):
+def test_joints_are_recovered_from_the_normals(random):
     angle = np.array([0.9, 0.8, 0.8]) + random.uniform(-0.5, 0.5, (20, 3))
     still = np.zeros_like(angle)
     np.testing.assert_allclose(angles_of(palms_at(angle, still, still).normal), angle, atol=1e-12)
 
 
-def test_a_reading_is_a_point_on_its_palm(random):
+def test_a_reading_maps_to_a_point_on_its_palm(random):
     angle = np.array([[0.9, 0.8, 0.7]])
     palms = palms_at(angle, 0 * angle, 0 * angle)
     read = random.uniform(-0.03, 0.03, (1, 3, 2))

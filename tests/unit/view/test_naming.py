@@ -33,11 +33,11 @@ def told(payloads: dict[str, bytes]) -> dict[str, object]:
 def test_a_nut_felt_all_round_is_a_hexagon_and_of_that_object() -> None:
     fields = told(latest())
     assert fields["object"] == 4
-    assert str(fields["said"]).startswith("regular hexagon, 24.0")
+    assert str(fields["text"]).startswith("regular hexagon, 24.0")
 
 
 def test_half_a_nut_has_no_name() -> None:
-    assert told(latest(felt=0.5))["said"] == ""
+    assert told(latest(felt=0.5))["text"] == ""
 
 
 @pytest.mark.parametrize("without", [ESTIMATE.name, SHAPE.name])

@@ -173,6 +173,11 @@ def opened(page, bus, messages):
     return page
 
 
+def test_fields_of_an_old_recording_are_read_under_their_former_names(still, bus):
+    opened(still, bus, rig_of(2) | {"palm/rig": {"off": ["pad 1's zero seems off: calibrate"]}})
+    still.until(lambda: still.text("notice-count") == "1: 1 rig", "the deviation")
+
+
 def test_what_cannot_be_jogged_has_no_jog_pad(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)
@@ -470,7 +475,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
             "coverage_goal": 0.95, "reachable": 0.9, "reason": "the reason for all that " * (step % 5),
             "unattended": bool(step // 3 % 2),
         }  # fmt: skip
-        messages["palm/rig"] = {"off": [f"pad {i}'s zero seems off: do something" for i in range(step % 4)]}
+        messages["palm/rig"] = {"contradictions": [f"pad {i}'s zero seems off: do something" for i in range(step % 4)]}
         entry = (step, now, "fault", "loop-overrun", "note", "", "the control loop missed a deadline " * (1 + step % 4))
         for name, value in zip(log, entry, strict=True):
             log[name] = [*log[name], value][-50:]

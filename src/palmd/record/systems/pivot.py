@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from palmd.aliases import PIVOT_RESULT, with_former_names
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import ObserverName, PadSample
 from palmd.jsonvalues import column, or_none
@@ -126,10 +127,10 @@ SYSTEM = Pivot()
 def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
     """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None for unknown values.
 
-    `not_told` lists in words the quantities that the run cannot determine.
+    `unobservable` lists in words the quantities that the run cannot determine.
     """
     trajectory = {"t": answer.t, "psi_rad": answer.psi, "omega0_rad_s": answer.omega0}
-    return {
+    line = {
         "system": SYSTEM.name,
         **verdict.verdict(answer.converged, answer.touched, answer.reason),
         "chi2": or_none(answer.chi2),
@@ -149,10 +150,11 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
         "moment_sd_kg_m": column(answer.moment_sd),
         "inertia_pivot_kg_m2": or_none(answer.inertia_kg),
         "inertia_pivot_sd_kg_m2": or_none(answer.inertia_kg_sd),
-        "not_told": list(_unobservable(rig)),
+        "unobservable": list(_unobservable(rig)),
         "trajectory": {name: column(values) for name, values in trajectory.items()} if len(answer.t) else None,
         "seconds": or_none(answer.seconds),
     }
+    return with_former_names(PIVOT_RESULT, line)
 
 
 def _unobservable(rig: PivotRig) -> Iterator[str]:

@@ -7,9 +7,9 @@ const ORDER = ["stop", "hold", "degrade", "note", "rig"];
 const SEVERE = new Set(["stop", "hold"]);
 
 /** Rows {kind, code, text}, the most severe first. Pure. */
-export function notices({ faults = [], severities = [], hints = [] }, { off: deviations = [] }) {
+export function notices({ faults = [], severities = [], hints = [] }, { contradictions = [] }) {
   const rows = faults.map((code, i) => ({ kind: severities[i], code, text: hints[i] ?? "" }));
-  rows.push(...deviations.map((text) => ({ kind: "rig", code: "", text })));
+  rows.push(...contradictions.map((text) => ({ kind: "rig", code: "", text })));
   return rows.sort((a, b) => ORDER.indexOf(a.kind) - ORDER.indexOf(b.kind));
 }
 

@@ -24,6 +24,12 @@ export function keptAs(topic) {
   return table.as[topic] ?? topic;
 }
 
+/** Adds the standard names to a message of an earlier release, as in an old recording. */
+export function withStandardNames(topic, fields) {
+  for (const [former, standard] of Object.entries(table.former[topic] ?? {})) fields[standard] ??= fields[former];
+  return fields;
+}
+
 /** Whether the message `fields` has one of the quantities `names`; before the first message, those of two palms. */
 export function hasAny(names, fields) {
   return names.some((name) => ("mono_ns" in fields ? name in fields : table.usual.includes(name)));

@@ -50,7 +50,7 @@ function showState(store) {
   const object = store.get("palm/object");
   const recognised = object.best ? `: ${object.best}, ${number(Math.max(...object.probability) * 100, 0, "%")}` : "";
   set("object", estimate.object === undefined ? "" : `object ${estimate.object}${recognised}`);
-  const { object: classified, said: shapeClass } = store.get("view/looks_like");
+  const { object: classified, text: shapeClass } = store.get("view/shape_class");
   set("looks-like", shapeClass && estimate.valid && classified === estimate.object ? `looks like: ${shapeClass}` : "");
   set("straight", estimate.valid ? straight(store.get("palm/shape")) : "");
   set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "estimate not valid");

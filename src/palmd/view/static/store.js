@@ -2,7 +2,7 @@
 
 import { History } from "./history.js";
 import { Pyramid } from "./pyramid.js";
-import { ESTIMATE, keptAs, LISTED, staleMs, STRIPS } from "./quantities.js";
+import { ESTIMATE, keptAs, LISTED, staleMs, STRIPS, withStandardNames } from "./quantities.js";
 import { fieldsOf } from "./systems.js";
 
 // Every tick is kept for this time, older data as minima and maxima
@@ -33,7 +33,7 @@ export class Store {
 
   /** Stores a message received at `now` (ms). */
   take(topicName, message, now) {
-    const [topic, fields] = [keptAs(topicName), fieldsOf(topicName, message)];
+    const [topic, fields] = [keptAs(topicName), fieldsOf(topicName, withStandardNames(topicName, message))];
     this.#latest.set(topic, fields);
     this.#cameAt.set(topic, now);
     if (topic.startsWith("palm/")) this.palmAt = now;
