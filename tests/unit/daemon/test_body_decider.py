@@ -151,7 +151,7 @@ def test_a_light_body_is_pressed_hard_enough_for_the_pads_to_detect_it(belief, m
     assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.DETECTABLE_N / 0.08)
 
 
-def test_moves_are_short_until_a_body_is_accepted_and_consider_its_uncertainty(belief, monkeypatch):
+def test_moves_are_short_before_a_body_is_accepted_and_slow_after_it_is_lost(belief, monkeypatch):
     asked = []
     monkeypatch.setattr(
         body_decider.BodyExplorer, "decide", lambda *args, most_rad_s, **_: asked.append((most_rad_s, args[4]))

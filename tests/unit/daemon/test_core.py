@@ -541,9 +541,9 @@ def test_a_plan_that_explores_needs_an_explorer():
 
 
 def test_an_exploration_reports_its_end_and_may_be_started_again():
-    nobody = Mute()
-    bench = Bench(spec=EXPLORE, explorer=nobody).go(0.5)
-    assert nobody.prepared
+    mute = Mute()
+    bench = Bench(spec=EXPLORE, explorer=mute).go(0.5)
+    assert mute.prepared
     assert "explored" not in bench.do("status")
     bench.do("arm")
     before = None
@@ -573,8 +573,8 @@ def test_an_exploration_reports_its_end_and_may_be_started_again():
 
 
 def test_a_silent_explorer_is_reported():
-    nobody = Mute()
-    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=nobody)
+    mute = Mute()
+    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=mute)
     bench.observer.valid = True
     bench.go(0.5).do("arm")
     bench.do("start")
@@ -582,7 +582,7 @@ def test_a_silent_explorer_is_reported():
     assert bench.faults == []
     bench.go(1.0)
     assert bench.faults == ["explorer-silent"]
-    assert nobody.asked == 0  # there is no belief for planning
+    assert mute.asked == 0  # there is no belief for planning
     bench.do("stop")
     assert bench.go(0.1).faults == []
 

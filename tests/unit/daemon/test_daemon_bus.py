@@ -164,7 +164,7 @@ def test_a_stop_overtakes_other_requests_and_moving_ones_are_then_refused(rig):
 
 
 @pytest.mark.parametrize(("waits", "comes"), [("hold", "stop"), ("stop", "hold")])
-def test_stop_and_hold_do_not_delay_each_other(rig, waits, comes):
+def test_a_queue_full_of_stops_accepts_a_hold_and_vice_versa(rig, waits, comes):
     clients, given = crowded(rig, [waits] * MAX_WAITING + [comes, waits])
     assert given == [*((number, waits) for number in range(MAX_WAITING)), (MAX_WAITING, comes)]
     assert refusal(clients[-1]) == f"{waits} refused: a {waits} is already waiting"

@@ -133,7 +133,7 @@ class Stage:
                 yield self.motions[-1]
 
     def after(self, seconds: float) -> PalmMotion:
-        """The last motion after so many seconds."""
+        """The last motion after a number of seconds."""
         return list(self.go(seconds))[-1]
 
     def reason(self) -> str:
@@ -273,7 +273,7 @@ def test_a_late_answer_is_dropped_and_counted() -> None:
 
 
 def begun(stage: Stage, seconds: float) -> list[tuple[float, Move]]:
-    """The start times of the moves in so many seconds."""
+    """The start times of the moves in a number of seconds."""
     found: list[tuple[float, Move]] = []
     for _ in stage.go(seconds):
         exploration = stage.setpoints.exploration
@@ -546,7 +546,7 @@ def test_tipping_visits_each_corner_once() -> None:
     assert len(set(ends)) == 4
 
 
-def test_a_move_without_prediction_continues_though_the_object_is_lost_and_reports_sticking() -> None:
+def test_a_blind_move_continues_without_an_estimate_and_sticking_is_passed_on() -> None:
     def provoking(question: Question) -> Decision:
         return Decision("move", Move(question.under_way.move.end, (1.2, 1.5), 3.0), "slips", blind=True)
 

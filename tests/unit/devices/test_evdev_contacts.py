@@ -53,7 +53,7 @@ PACKETS = {
         [packet(500, 3, a(ID, 4)), packet(900, 3, a(ID, 5)) + packet(510, 3, a(ID, 4)), packet(905, 3, a(ID, 5)), [MT]],
         [500, 510, 905, "lift"],
     ),
-    "without ids the nearest goes on": (
+    "without ids the nearest continues": (
         [packet(500, 3), packet(900, 3) + packet(510, 3), packet(520, 3) + packet(905, 3), packet(910, 3)],
         [500, 510, 520, 910],
     ),

@@ -50,6 +50,6 @@ def test_an_invalid_cylinder_is_rejected(text, capsys):
     assert "--cylinder" in capsys.readouterr().err
 
 
-def test_it_replaces_the_marble():
+def test_a_cylinder_and_a_marble_exclude_each_other():
     with pytest.raises(SystemExit):
         main(["rig", "--cylinder", "20,100", "--marble", "1"])

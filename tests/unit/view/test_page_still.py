@@ -456,7 +456,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
     jogs = -1
     for step in itertools.count():
         now = time.monotonic()
-        if step % 8 == 7:  # on a machine that delays page or bus for long the jog ends, as it should
+        if step % 8 == 7:  # on a machine that delays page or bus for long the jog ends
             held, jogs = jogs, sum(asked["cmd"] == "jog" for asked in bus.asked)
             if jogs == held:
                 ActionChains(still.driver).release().click_and_hold(handle).perform()

@@ -81,7 +81,7 @@ def test_an_answer_makes_room_for_the_next_command(daemon, served):
             assert next_error(page) is None
 
 
-def test_connections_are_accepted_at_a_rate_that_leaves_time_for_frames(monkeypatch):
+def test_a_bounded_number_of_connections_is_accepted_at_once(monkeypatch):
     asked = {}
 
     def serve(*_, **how):
