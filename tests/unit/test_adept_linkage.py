@@ -1,4 +1,4 @@
-"""What an Adept's gripper holds: against virtual work, for which no force has to be known."""
+"""The load of an Adept's gripper, checked by virtual work, for which no force has to be known."""
 
 import math
 from pathlib import Path
@@ -15,7 +15,7 @@ G = 9.81
 
 
 def places(phi1, phi12):
-    """E, and the heights of the object and of both palms' middles (m)."""
+    """E, and the heights of the object and of both palms' centres (m)."""
     length1, length2 = (1e-3 * length for length in CONFIG.rig.palm_lengths_mm)
     first, second, middle = (
         np.array([math.cos(a), math.sin(a)]) for a in (phi1, phi12, 0.5 * (phi1 + phi12))
@@ -29,7 +29,7 @@ def places(phi1, phi12):
 
 
 def work(pose, which):
-    """What the weights gain, and how far E goes and turns, per radian of palm 1's or palm 2's direction."""
+    """Work of the weights, and motion and rotation of E, per radian of palm 1's or palm 2's direction."""
     phi1, phi12 = math.radians(pose[0]), math.radians(sum(pose))
     step = np.array([1e-6, 0.0] if which == 0 else [0.0, 1e-6])
     (after, gain), (before, loss) = (places(*(np.array([phi1, phi12]) + sign * step)) for sign in (1, -1))
@@ -37,14 +37,14 @@ def work(pose, which):
 
 
 @pytest.mark.parametrize("pose", [(45.0, 90.0), (20.0, 120.0), (70.0, 60.0), (110.0, 50.0)])
-def test_force_and_moment_do_the_work_that_lifts_everything(pose):
+def test_force_and_moment_do_the_work_of_lifting(pose):
     found = grip(CONFIG.rig, pose, RADIUS_MM, MASS_KG, PALM_KG)
     gains, ways, turns = zip(*(work(pose, which) for which in (0, 1)), strict=True)
     for gain, way, turn in zip(gains, ways, turns, strict=True):
         assert found.force @ way + found.moment_nm * turn == pytest.approx(gain, abs=1e-6)
 
 
-def test_the_drawing_tells_the_worst():
+def test_the_drawing_shows_the_worst_case():
     force, moment = worst(CONFIG)
     assert f"{force.force_n:.1f} N" in drawing(CONFIG)
     assert f"{abs(moment.moment_nm):.2f} N·m" in drawing(CONFIG)

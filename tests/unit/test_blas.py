@@ -1,4 +1,4 @@
-"""One thread for the linear algebra: in every process of palmd's own, and in others' while palmd computes."""
+"""One thread for linear algebra: in every process of palmd's own, and in others' while palmd computes."""
 
 import json
 import os
@@ -23,7 +23,7 @@ from tools.studies.silent_observer import SilentObserver
 MANY = 3
 ASKED_FOR_MANY = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), str(MANY))
 
-# What a command's module finds when it is imported: whether there is an array library, and what it is told of threads.
+# The environment of a command's module at its import: whether there is an array library, and its number of threads.
 EVERY_COMMAND = """
 import importlib, json, os, sys, types
 import palmd.cli.table
@@ -38,7 +38,7 @@ for each in palmd.cli.table.COMMANDS:
         os.environ["OPENBLAS_NUM_THREADS"] = "3"
         palmd.cli.main(each.name.split())
 """
-TELLING = """
+REPORTING = """
 import json, sys
 def serve(*arguments):
     import numpy, scipy.linalg, threadpoolctl
@@ -47,22 +47,22 @@ def serve(*arguments):
 
 
 def in_effect():
-    """The threads of every library that is loaded."""
+    """The numbers of threads of all loaded libraries."""
     return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
 
 @pytest.fixture
 def many(monkeypatch):
-    """A program of somebody else's, whose linear algebra uses several threads."""
-    monkeypatch.setattr("palmd.blas._own_process", False)  # these tests began as a process of palmd's own
+    """A foreign program whose linear algebra uses several threads."""
+    monkeypatch.setattr("palmd.blas._own_process", False)  # the tests themselves are a process of palmd's own
     with threadpool_limits(MANY):
         assert in_effect() == {MANY}
         yield
-        assert in_effect() == {MANY}, "its threads were not given back"
+        assert in_effect() == {MANY}, "its threads were not restored"
 
 
 class Watched(UserList):
-    """Events; each time they are read the threads in effect are noted."""
+    """Events that record the number of threads each time they are read."""
 
     def __init__(self, events):
         super().__init__(events)
@@ -74,7 +74,7 @@ class Watched(UserList):
 
 
 class Watch(SilentObserver):
-    """An observer that only notes the threads."""
+    """An observer that only records the number of threads."""
 
     def __init__(self):
         self.seen = set()
@@ -91,9 +91,9 @@ class Watch(SilentObserver):
         self.seen |= in_effect()
 
 
-def test_every_command_begins_with_one_thread_whatever_the_shell_says():
-    told = subprocess.run([sys.executable, "-c", EVERY_COMMAND], capture_output=True, text=True, check=True).stdout
-    found = [json.loads(line) for line in told.splitlines()]
+def test_every_command_begins_with_one_thread_whatever_the_environment():
+    output = subprocess.run([sys.executable, "-c", EVERY_COMMAND], capture_output=True, text=True, check=True).stdout
+    found = [json.loads(line) for line in output.splitlines()]
     assert found == [
         [f"palmd.{each.module}", False, "1"] for each in COMMANDS if each.module and each.name != "report paper"
     ]
@@ -113,17 +113,17 @@ def test_a_command_computes_with_one_thread(tmp_path):
 
 
 def test_a_process_beside_the_loop_has_one_thread(tmp_path):
-    (tmp_path / "telling.py").write_text(TELLING)
+    (tmp_path / "reporting.py").write_text(REPORTING)
     environment = os.environ | ASKED_FOR_MANY | {"PYTHONPATH": str(tmp_path)}
     with Path(os.devnull).open("w") as signs:
         number = signs.fileno()
-        command = [sys.executable, "-m", "palmd.daemon.worker_main", "telling", str(os.getpid()), str(number)]
+        command = [sys.executable, "-m", "palmd.daemon.worker_main", "reporting", str(os.getpid()), str(number)]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, pass_fds=[number])
     assert set(json.loads(done.stdout)) == {1}
 
 
 @pytest.mark.usefixtures("many")
-def test_reconstruct_takes_one_thread_and_gives_the_others_back():
+def test_reconstruct_uses_one_thread_and_restores_the_number():
     run = simulated("nominal", 3, 2.0)
     events = Watched(run.events)
     reconstruct(events, run.rig)
@@ -131,7 +131,7 @@ def test_reconstruct_takes_one_thread_and_gives_the_others_back():
 
 
 @pytest.mark.usefixtures("many")
-def test_a_replay_takes_one_thread_and_gives_the_others_back_between_the_ticks():
+def test_a_replay_uses_one_thread_and_restores_the_number_between_ticks():
     run = simulated("nominal", 3, 2.0)
     watch = Watch()
     between = set()
@@ -142,7 +142,7 @@ def test_a_replay_takes_one_thread_and_gives_the_others_back_between_the_ticks()
 
 
 @pytest.mark.usefixtures("many")
-def test_within_one_another_and_after_an_error_the_threads_come_back():
+def test_nested_limits_and_errors_restore_the_number_of_threads():
     with one_thread():
         with pytest.raises(ZeroDivisionError), one_thread():
             raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""What the configuration's models allow, and what they make of it."""
+"""Valid and invalid configurations, and the values derived from them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_only_the_ports_have_no_default_and_the_defaults_are_the_shipped_rig() -
     assert {name for name, _ in faults(pads={}, arm={})} == {"pads.palm1", "pads.palm2", "arm.port"}
 
 
-def test_paths_stand_beside_the_configuration() -> None:
+def test_relative_paths_start_at_the_configuration() -> None:
     made = config(Path("/etc/palmd"), record={"directory": "../runs"}, plan="/srv/plan.yaml")
     assert made.record.directory == Path("/etc/palmd/../runs")
     assert made.plan == Path("/srv/plan.yaml")
@@ -51,13 +51,13 @@ def test_paths_stand_beside_the_configuration() -> None:
     assert config(Path("/etc/palmd")).plan is None
 
 
-def test_curved_palms_are_what_the_observer_is_told_of() -> None:
+def test_curved_palms_are_in_the_observers_rig_description() -> None:
     made = config(rig={"palm1_curvature_per_m": 13.3, "palm2_curvature_per_m": -8.0})
     assert rig_description(made).curvatures == (13.3, -8.0)
     assert not rig_description(config()).curved
 
 
-def test_a_vibration_is_what_observers_know_of_it() -> None:
+def test_a_vibration_is_in_the_observers_rig_description() -> None:
     assert rig_description(config()).vibration == Vibration()
     block: dict[str, Any] = {"relation": "in_phase", "frequency_hz": 250.0, "speed_m_s": 0.015, "speed_sd_m_s": 1e-3}
     block["transmission"] = 1.0
@@ -68,7 +68,7 @@ def test_a_vibration_is_what_observers_know_of_it() -> None:
     assert rig_description(config(rig={"vibration": {"law": "averaged"}})).vibration == AVERAGED
 
 
-def test_a_transmission_that_says_not_how_sure_it_is_is_not_exact() -> None:
+def test_a_transmission_without_an_sd_is_not_exact() -> None:
     assert Vibration(transmission=0.5).nominal_transmission_sd == Vibration().nominal_transmission_sd > 0.05
     assert Vibration(transmission=0.5, transmission_sd=0.0).nominal_transmission_sd == 0.0
 
@@ -85,11 +85,11 @@ def test_a_transmission_that_says_not_how_sure_it_is_is_not_exact() -> None:
         ({"amplitude_mm": 0.1}, "amplitude_mm"),
     ],
 )
-def test_a_vibration_that_cannot_be_is_refused(block: dict[str, Any], name: str) -> None:
+def test_an_impossible_vibration_is_refused(block: dict[str, Any], name: str) -> None:
     assert [each for each, _ in faults(rig={"vibration": block})] == [f"rig.vibration.{name}"]
 
 
-def test_what_cannot_be_had_on_curved_palms_is_refused() -> None:
+def test_features_unsupported_on_curved_palms_are_refused() -> None:
     curved = {"palm2_curvature_per_m": 13.3}
     ((name, text),) = faults(rig=curved, observer={"primary": "extended"})
     assert name == "observer"
@@ -111,7 +111,7 @@ def test_only_a_cradle_may_point_downwards() -> None:
     "address",
     ["tcp://127.0.0.1:9872", "tcp://127.8.9.1:1", "tcp://localhost:65535", "ipc:///run/palmd/publish"],
 )
-def test_addresses_on_this_machine_are_taken(address: str) -> None:
+def test_addresses_on_this_machine_are_accepted(address: str) -> None:
     assert config(bus={"publish": address}).bus.publish == address
 
 
@@ -141,7 +141,7 @@ def test_other_addresses_are_refused(address: str, said: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp://0.0.0.0:9872", "tcp://192.168.1.4:9872", "tcp://127.0.0.1:1", "ipc:///x"])
-def test_with_keys_any_address_of_the_machine_is_taken(address: str) -> None:
+def test_with_keys_any_address_of_the_machine_is_accepted(address: str) -> None:
     made = config(bus={"publish": address, "keys": "keys"})
     assert made.bus.publish == address
     assert made.bus.keys == Path("/etc/palmd/keys")
@@ -150,14 +150,14 @@ def test_with_keys_any_address_of_the_machine_is_taken(address: str) -> None:
 @pytest.mark.parametrize(
     "address", ["tcp://*:9872", "tcp://eth0:9872", "tcp://[::]:9872", "tcp://0.0.0.0:0", "udp://0.0.0.0:9"]
 )
-def test_keys_make_no_address_of_what_is_none(address: str) -> None:
+def test_keys_do_not_make_an_invalid_address_valid(address: str) -> None:
     ((name, text),) = faults(bus={"publish": address, "keys": "keys"})
     assert name == "bus.publish"
     assert "must be" in text
 
 
 @pytest.mark.parametrize("keys", ["", 3, True])
-def test_keys_that_are_none_are_told_at_their_own_place(keys: object) -> None:
+def test_missing_keys_are_reported_at_their_own_place(keys: object) -> None:
     assert [name for name, _ in faults(bus={"publish": "tcp://0.0.0.0:9872", "keys": keys})] == ["bus.keys"]
 
 
@@ -166,7 +166,7 @@ def test_a_program_on_the_same_machine_connects_by_loopback() -> None:
     assert from_here("tcp://192.168.1.4:9872") == "tcp://192.168.1.4:9872"
 
 
-def test_things_that_must_differ() -> None:
+def test_ports_and_addresses_must_differ() -> None:
     same = "tcp://127.0.0.1:9"
     assert faults(bus={"publish": same, "command": same})[0][0] == "bus.command"
     palm1, palm2 = {"port": "/dev/a"}, {"port": "/dev/a"}
@@ -211,7 +211,7 @@ def test_things_that_must_differ() -> None:
         ({"plans": "x"}, "plans"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: str) -> None:
+def test_an_error_is_reported_at_its_key(section: dict[str, Any], name: str) -> None:
     assert [fault[0] for fault in faults(**section)] == [name]
 
 
@@ -219,7 +219,7 @@ def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: s
     ("force_n", "expected"),
     [(None, (2.54, 5.0)), (1.5, (1.5, 1.5)), ({"palm2": 1.0}, (2.54, 1.0)), ({"palm1": 1.0, "palm2": 2.0}, (1.0, 2.0))],
 )
-def test_a_force_is_limited_for_all_pads_or_each_else_where_the_pad_saturates(force_n, expected) -> None:
+def test_force_limits_are_for_all_pads_or_each_and_default_to_saturation(force_n, expected) -> None:
     limits = config(limits={} if force_n is None else {"force_n": force_n}).limits
     assert force_limits(limits.force_n, {"palm1": 2.54, "palm2": 5.0}) == pytest.approx(expected)
 
@@ -231,13 +231,13 @@ def test_a_hinge_that_the_actuator_does_not_drive_is_refused_in_one_sentence() -
     assert "kind dynamixel needs hinge: fixed, but rig.hinge is arc" in text
 
 
-def test_kinds_are_told_when_one_is_not_known() -> None:
+def test_an_unknown_kind_is_answered_with_the_list_of_kinds() -> None:
     pads = {"palm1": {"port": "/dev/a", "kind": "pad"}, "palm2": {"port": "/dev/b"}}
     ((name, text),) = faults(pads=pads)
     assert (name, text) == ("pads.palm1", "kind must be one of versapad, strip, evdev, taxels")
 
 
-def test_play_makes_an_angle_less_sure() -> None:
+def test_play_increases_the_sd_of_an_angle() -> None:
     made = config(rig={"hinge": "fixed"}, arm={"port": "/dev/c", "kind": "dynamixel"})
     rig = rig_description(made)
     assert math.degrees(rig.angle_sd) == pytest.approx(math.hypot(0.1, 0.125))
@@ -246,29 +246,29 @@ def test_play_makes_an_angle_less_sure() -> None:
     assert rig_description(config()).palm_angle_noise == 2e-4
 
 
-def test_two_servos_cannot_have_one_id() -> None:
+def test_two_servos_cannot_have_the_same_id() -> None:
     ((name, text),) = faults(arm={"port": "/dev/c", "kind": "dynamixel", "servo2": {"id": 1}})
     assert (name, text) == ("arm.servo2", "Value error, id 1 is already used by servo1")
 
 
-def test_the_kind_of_a_device_may_be_left_out_and_changes_no_hash() -> None:
-    told = config(
+def test_the_kind_of_a_device_is_optional_and_changes_no_hash() -> None:
+    explicit = config(
         pads={"palm1": {"port": "/dev/a", "kind": "versapad"}, "palm2": {"port": "/dev/b"}},
         arm={"port": "/dev/c", "kind": "adept"},
     )
     left_out = config(pads={"palm1": {"port": "/dev/a"}, "palm2": {"port": "/dev/b"}}, arm={"port": "/dev/c"})
     assert (left_out.pads.palm1.kind, left_out.arm.kind) == ("versapad", "adept")
-    assert config_hash(told) == config_hash(left_out)
-    assert "kind" not in told.model_dump()["arm"]
+    assert config_hash(explicit) == config_hash(left_out)
+    assert "kind" not in explicit.model_dump()["arm"]
 
 
-def test_hash_follows_the_effective_values_only() -> None:
+def test_the_hash_depends_on_effective_values_only() -> None:
     assert config_hash(config()) == config_hash(config(rig={"gravity_m_s2": 9.81, "base_mm": [120, 0]}))
     assert config_hash(config()) != config_hash(config(rig={"gravity_m_s2": 9.80}))
     assert len(config_hash(config())) == 64
 
 
-def test_rig_description_tells_each_pad_by_itself() -> None:
+def test_the_rig_description_has_each_pads_own_values() -> None:
     pads = {
         "palm1": {"port": "/dev/a", "length_mm": 50.0, "counts_per_mm": 4.0, "zero_sd_mm": 0.2},
         "palm2": {"port": "/dev/b", "newtons_per_count": 0.05, "noise_mm": 0.3, "lag_sd_ms": 5.0},

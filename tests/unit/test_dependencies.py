@@ -1,8 +1,8 @@
-"""What palmd is built on is what the lock files say, to the byte: pinned, hashed, and nothing besides.
+"""The installed dependencies agree with the lock files exactly: pinned and hashed, and no others.
 
-Whether a locked version has a known hole is not asked here, since that needs the network
-(docs/operate/security.md); how the
-answer is judged is.
+Whether a locked version has a known vulnerability is not tested, since that needs the network
+(docs/operate/security.md); the
+evaluation of the answer is tested.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 LOCKS = ("requirements.lock", "requirements-dev.lock")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TYPES_ONLY = {"_typeshed"}
-UNLOCKED = {"pydrake": "drake", "rerun": "rerun-sdk"}  # an optional extra, by the name that it is imported by
+UNLOCKED = {"pydrake": "drake", "rerun": "rerun-sdk"}  # optional packages, by the names they are imported by
 
 
 def canonical(name: str) -> str:
@@ -58,7 +58,7 @@ def test_every_requirement_is_pinned_and_hashed(lock: str) -> None:
         assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", each) for each in hashes), f"{lock}: {entry[:60]}"
 
 
-def test_both_locks_hold_what_is_asked_for_and_agree() -> None:
+def test_both_lock_files_contain_the_declared_dependencies_and_agree() -> None:
     run, dev = map(pins, LOCKS)
     extras = PROJECT["optional-dependencies"]
     demo = [*PROJECT["dependencies"], *extras["build"], *extras["report"]]  # `palmd report` works after `make demo`
@@ -67,13 +67,13 @@ def test_both_locks_hold_what_is_asked_for_and_agree() -> None:
     assert {name: dev.get(name) for name in run} == run
 
 
-def test_what_is_imported_is_locked() -> None:
+def test_every_imported_package_is_locked() -> None:
     locked, owners = pins("requirements.lock"), importlib.metadata.packages_distributions()
     optional = {named(each) for extra in PROJECT["optional-dependencies"].values() for each in extra}
     for path in (ROOT / "src").rglob("*.py"):
         for top in sorted(imported(path) - sys.stdlib_module_names - TYPES_ONLY - {"palmd"}):
             packages = {canonical(each) for each in owners.get(top, [UNLOCKED.get(top, top)])}
-            assert packages & (locked.keys() | optional), f"{path} imports {top}, which no lock file has"
+            assert packages & (locked.keys() | optional), f"{path} imports {top}, which is in no lock file"
 
 
 def imported(path: Path) -> set[str]:
@@ -83,7 +83,7 @@ def imported(path: Path) -> set[str]:
     return {name.split(".")[0] for name in whole | parts}
 
 
-def test_what_is_installed_is_what_is_locked_and_fits_together() -> None:
+def test_installed_versions_are_the_locked_ones_and_compatible() -> None:
     locked = pins("requirements-dev.lock")
     installed = {canonical(each.name): each.version for each in importlib.metadata.distributions()}
     other = {name: version for name, version in installed.items() if version not in locked.get(name, {version})}
@@ -114,7 +114,7 @@ NOBODY = (True, ["not audited: no answer from pypi.org"])
          (False, ["not audited: ERROR: requirement x==1 does not contain a hash"])),
     ],
 )  # fmt: skip
-def test_an_audit_fails_for_a_hole_or_a_broken_answer_and_not_for_none(packages, stderr, expected) -> None:
+def test_an_audit_fails_for_a_vulnerability_or_an_invalid_answer_only(packages, stderr, expected) -> None:
     passed, lines = judged("" if packages is None else json.dumps({"dependencies": packages, "fixes": []}), stderr)
     assert passed == expected[0]
     assert len(lines) == len(expected[1])

@@ -1,4 +1,4 @@
-"""Pages generated from the code's tables are up to date, and the README names only what exists."""
+"""Pages generated from the code's tables are up to date, and the README names only existing files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FOLDERS = {
 }
 
 
-def test_every_page_has_its_folder_and_is_found_from_the_readme() -> None:
+def test_every_page_has_its_folder_and_is_linked_from_the_readme() -> None:
     assert {entry.name for entry in (ROOT / "docs").iterdir()} == FOLDERS
     reached, waiting = set(), {ROOT / "README.md"}
     while waiting:
@@ -49,7 +49,7 @@ def test_every_page_has_its_folder_and_is_found_from_the_readme() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_decisions_are_called_by_their_number(page: str) -> None:
+def test_decisions_are_cited_by_their_number(page: str) -> None:
     text = (ROOT / page).read_text()
     for number, file in re.findall(r"\[(?:decisions? )?(\d+)\]\([^)]*decisions/(\d{4})-", text):
         assert int(number) == int(file), f"{page} calls the record {file} decision {number}"
@@ -68,7 +68,7 @@ def test_files_named_in_the_docs_exist(page: str) -> None:
         if name.startswith("http"):
             continue
         places = ((ROOT / page).parent / name, ROOT / name, ROOT / "src/palmd" / name)
-        assert any(place.exists() for place in places), f"{page} names {name}, which is not there"
+        assert any(place.exists() for place in places), f"{page} names {name}, which does not exist"
 
 
 def test_pages_named_in_the_code_exist() -> None:
@@ -80,26 +80,26 @@ def test_pages_named_in_the_code_exist() -> None:
     assert {name: file for name, file in named.items() if not (ROOT / name).exists()} == {}
 
 
-def test_the_walk_goes_through_places_that_are_there() -> None:
+def test_the_walk_goes_through_existing_places() -> None:
     text = (ROOT / "docs/walkthrough.md").read_text()
     places = re.findall(r"`([a-z_0-9/]+\.(?:py|js))(?::(\w+))?`", text)
     assert len(places) > 40
     for path, name in places:
         file = ROOT / "src/palmd" / path
-        assert file.exists(), f"the walk goes through {path}, which is not there"
+        assert file.exists(), f"the walk goes through {path}, which does not exist"
         assert re.search(rf"\b{name}\b", file.read_text()), f"there is no {name} in {path}"
 
 
-def test_the_papers_map_names_what_is_there() -> None:
+def test_the_papers_map_names_existing_functions() -> None:
     named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/theory/paper.md").read_text())
     assert len(named) > 20
     for path, name in named:
         package = "" if path.startswith("tools/") else "palmd."
         module = importlib.import_module(package + path.replace("/", "."))
-        assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which is not there"
+        assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which does not exist"
 
 
-def test_it_is_written_down_how_each_figure_was_made() -> None:
+def test_every_figure_has_a_record_of_how_it_was_made() -> None:
     rows = made()
     names = {path.name for path in FIGURES.iterdir()} - {MADE.name}
     assert names == set(rows)

@@ -1,4 +1,4 @@
-"""What README and docs have typed without a daemon does what they say; and every block is run, or says why not.
+"""Every block of README and docs that needs no daemon is run, or states why it is not.
 
 Blocks that need a daemon: `tests/rig/test_documentation_on_rig.py`.
 """
@@ -31,11 +31,11 @@ def test_blocks_of(page, tmp_path):
         reader.run(block, free_addresses(), None, {"tcp://127.0.0.1:9999": beside})
 
 
-def test_every_block_has_a_kind_and_what_is_not_run_says_why():
+def test_every_block_has_a_kind_and_a_reason_if_it_is_not_run():
     for block in docblocks.blocks():
         assert block.kind in (*docblocks.RUN, *docblocks.SHOWN), f"{block.page}:{block.line}: {block.kind or 'no kind'}"
         if block.excluded:
-            assert block.kind in docblocks.RUN, f"{block.page}:{block.line}: nobody would run it"
+            assert block.kind in docblocks.RUN, f"{block.page}:{block.line}: blocks of this kind are not run"
             assert len(block.excluded) > 8
             for name in re.findall(r"tests/[\w/]+(?:\.py)?", block.excluded):
                 assert (docblocks.ROOT / name).exists(), f"{block.page}:{block.line}: there is no {name}"
@@ -43,6 +43,6 @@ def test_every_block_has_a_kind_and_what_is_not_run_says_why():
 
 
 def test_most_blocks_are_run():
-    """Studies, installations and what takes a person or a device are not."""
+    """Exceptions are studies, installations, and blocks that need a person or a device."""
     kinds = [bool(block.excluded) for block in docblocks.blocks() if block.kind in docblocks.RUN]
     assert kinds.count(False) >= 25

@@ -1,4 +1,4 @@
-"""Every palmd command that stands in a block of the documentation is one: its words are parsed as they would be."""
+"""Every palmd command in a block of the documentation can be parsed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def blocks(kind: str) -> Iterator[tuple[Path, str]]:
 
 
 def commands() -> Iterator[tuple[str, str]]:
-    """Page and words of each command, without comments, pipes and what stands before it on the line."""
+    """Page and words of each command, without comments, pipes and anything before it on the line."""
     for page, text in (*blocks(""), *blocks("sh"), *blocks("bash"), *blocks("console")):
         for line in text.replace("\\\n", " ").splitlines():
             found = re.match(r"(?:\$ )?(?:[A-Z_]+=\S+ )*(?:sudo |\./|\.venv/bin/|/opt/palmd/bin/)*palmd (.*)", line)
@@ -57,10 +57,10 @@ def test_a_command_in_the_documentation_parses(page: str, words: str) -> None:
     assert " is now: " not in said.getvalue(), f"{page}: palmd {words} is a former spelling"
 
 
-def test_there_are_many_of_them() -> None:
+def test_many_commands_are_documented() -> None:
     assert len(set(commands())) > 40
 
 
 @pytest.mark.parametrize(("page", "text"), list(blocks("python")), ids=str)
-def test_a_program_in_the_documentation_is_one(page: Path, text: str) -> None:
+def test_a_documented_program_exists(page: Path, text: str) -> None:
     ast.parse(text, filename=str(page))

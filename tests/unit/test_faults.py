@@ -12,7 +12,7 @@ def codes(monitor: FaultMonitor) -> list[str]:
     return [fault.code for fault in monitor.active]
 
 
-def test_table_is_sound():
+def test_the_table_is_consistent():
     assert len(TABLE) == len(FAULTS)
     for fault in FAULTS:
         assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", fault.code)
@@ -22,17 +22,17 @@ def test_table_is_sound():
         assert fault.debounce_s >= 0.0
 
 
-def test_what_stays_is_not_said_to_clear_itself_and_the_other_way_round():
+def test_only_faults_without_a_latch_are_said_to_clear_themselves():
     for fault in FAULTS:
         assert (fault.latch == "no") == (fault.clears == "itself"), fault.code
 
 
-def test_every_stop_fault_stays_once_it_has_stopped_the_arm():
+def test_every_stop_fault_stays_after_it_has_stopped_the_arm():
     assert all(fault.latch != "no" for fault in FAULTS if fault.severity is Severity.STOP)
 
 
-def test_the_table_says_what_the_manual_has_said_of_it():
-    """Severity, how long it must hold, latch and clearing: an accidental change has to be made twice."""
+def test_the_table_agrees_with_the_manual():
+    """Severity, debounce, latch and clearing: written twice so that an accidental change is noticed."""
     said = {}
     page = Path(__file__).parents[2] / "docs/reference/faults.md"
     for line in page.read_text("utf-8").splitlines():
@@ -42,7 +42,7 @@ def test_the_table_says_what_the_manual_has_said_of_it():
     assert said == {f.code: (str(f.severity), f.debounce_s, f.latch, f.clears) for f in FAULTS}
 
 
-def test_fault_stands_as_long_as_its_condition():
+def test_a_fault_lasts_as_long_as_its_condition():
     monitor = FaultMonitor()
     assert monitor.update({"pad1-port"}, 0.0, armed=False)
     assert codes(monitor) == ["pad1-port"]
@@ -50,7 +50,7 @@ def test_fault_stands_as_long_as_its_condition():
     assert codes(monitor) == []
 
 
-def test_debounce_asks_for_an_unbroken_condition():
+def test_debouncing_needs_an_unbroken_condition():
     monitor = FaultMonitor()
     debounce = TABLE["pad1-lifted"].debounce_s
     assert debounce > 0.02
@@ -79,7 +79,7 @@ def test_latching(code, armed, stays):
     assert codes(monitor) == ([code] if stays else [])
 
 
-def test_reset_lets_go_only_of_what_is_gone():
+def test_reset_clears_only_faults_whose_cause_has_ended():
     monitor = FaultMonitor()
     monitor.update({"arm-estop", "tick-error"}, 0.0, armed=True)
     monitor.update({"arm-estop"}, 0.1, armed=True)
@@ -93,7 +93,7 @@ def test_reset_lets_go_only_of_what_is_gone():
     assert not monitor.latched(Severity.STOP)
 
 
-def test_active_is_in_the_tables_order_and_the_same_object_while_nothing_changes():
+def test_active_faults_keep_the_tables_order_and_object_while_nothing_changes():
     monitor = FaultMonitor()
     monitor.update({"vm-backend", "arm-estop", "pad2-port"}, 0.0, armed=False)
     assert codes(monitor) == ["arm-estop", "pad2-port", "vm-backend"]
@@ -103,12 +103,12 @@ def test_active_is_in_the_tables_order_and_the_same_object_while_nothing_changes
     assert [fault.code for fault in monitor.standing(Severity.HOLD)] == ["pad2-port"]
 
 
-def test_unknown_code_is_a_defect():
+def test_an_unknown_code_is_an_error():
     with pytest.raises(KeyError):
         FaultMonitor().update({"no-such-fault"}, 0.0, armed=False)
 
 
-def test_what_is_sure_needs_no_time():
+def test_a_certain_condition_needs_no_debounce():
     monitor = FaultMonitor()
     monitor.update({"pad1-lifted", "pad2-lifted"}, 0.0, armed=True)
     assert monitor.active == ()

@@ -1,4 +1,4 @@
-"""What keeps palmd open for other systems and easy to search: few files name a palm by number, no two classes alike."""
+"""Rules for other systems and for searching: few files name a palm by number, and class names are unique."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SOURCE = Path(__file__).parents[2] / "src" / "palmd"
-"""m/s² and its like within names."""
+"""m/s² and similar units within names."""
 MOST_SHARED_NAMES = 0  # of classes
 
 
@@ -17,7 +17,7 @@ def sources() -> Iterator[tuple[Path, str]]:
         yield path.relative_to(SOURCE), path.read_text(encoding="utf-8")
 
 
-def test_hardly_a_class_name_means_two_things():
+def test_class_names_are_unique():
     homes = defaultdict(list)
     for path, text in sources():
         for name in re.findall(r"^ *class (\w+)", text, re.MULTILINE):
@@ -26,7 +26,7 @@ def test_hardly_a_class_name_means_two_things():
     assert len(shared) <= MOST_SHARED_NAMES, shared
 
 
-def test_no_two_files_of_tests_share_a_name() -> None:
+def test_no_two_test_files_share_a_name() -> None:
     """pytest imports a file by its name alone, and refuses the second."""
     names = Counter(path.name for path in Path(__file__).parents[1].rglob("test_*.py"))
     assert [name for name, times in names.items() if times > 1] == []

@@ -1,4 +1,4 @@
-"""What JSON has no form for becomes None wherever it stands; all else stays what it is."""
+"""Values without a JSON form become None at any depth; all others stay unchanged."""
 
 import json
 import math
@@ -10,14 +10,14 @@ from palmd.jsonvalues import or_none
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, np.float64("nan")])
-def test_numbers_that_are_none_are_none_at_any_depth(bad):
-    told = or_none({"a": bad, "b": [1.0, bad, {"c": [bad]}], "d": [[bad, 2.0]], "e": (bad, 1.0)})
-    assert told == {"a": None, "b": [1.0, None, {"c": [None]}], "d": [[None, 2.0]], "e": [None, 1.0]}
+def test_values_that_are_not_finite_become_none_at_any_depth(bad):
+    converted = or_none({"a": bad, "b": [1.0, bad, {"c": [bad]}], "d": [[bad, 2.0]], "e": (bad, 1.0)})
+    assert converted == {"a": None, "b": [1.0, None, {"c": [None]}], "d": [[None, 2.0]], "e": [None, 1.0]}
     assert or_none(bad) is None
-    json.dumps(told, allow_nan=False)
+    json.dumps(converted, allow_nan=False)
 
 
-def test_all_else_stays_and_what_was_given_too():
+def test_other_values_and_the_input_stay_unchanged():
     given = {
         "text": "nan",
         "yes": True,
@@ -26,7 +26,7 @@ def test_all_else_stays_and_what_was_given_too():
         "list": [0.0, -0.0, 1e308],
         "deep": {"x": [math.nan]},
     }
-    told = or_none(given)
-    assert told == {**given, "deep": {"x": [None]}}
-    assert told["yes"] is True
+    converted = or_none(given)
+    assert converted == {**given, "deep": {"x": [None]}}
+    assert converted["yes"] is True
     assert math.isnan(given["deep"]["x"][0])

@@ -1,4 +1,4 @@
-"""Key files: what is made, what is trusted, what is refused and in which words."""
+"""Key files: which are made, trusted and refused, with their messages."""
 
 import os
 import stat
@@ -14,7 +14,7 @@ from palmd.keys import KeysError, Role
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A daemon's folder `keys` and a client's folder `mine`, as the manual has one make them."""
+    """A daemon's folder `keys` and a client's folder `mine`, made as the manual describes."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PALMD_KEY", raising=False)
     for arguments in (
@@ -28,7 +28,7 @@ def folders(tmp_path, monkeypatch):
 
 
 def fails(capsys, *arguments):
-    """The one line with which a command ends that cannot be done."""
+    """The one-line error of a command that fails."""
     capsys.readouterr()
     assert main(list(arguments)) == 1
     out, err = capsys.readouterr()
@@ -42,7 +42,7 @@ def mode(path):
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o002, 0o077])
-def test_secrets_are_for_their_owner_alone_whatever_the_umask(tmp_path, umask):
+def test_secrets_are_readable_by_their_owner_alone_whatever_the_umask(tmp_path, umask):
     before = os.umask(umask)
     try:
         secret, public = keys.make_pair(tmp_path / "keys", "server")
@@ -64,7 +64,7 @@ def test_a_client_on_the_list_has_its_role_and_the_daemon_itself_may_operate(fol
     assert client.server == guarded.pair.public == keys.own_credentials(folders / "keys").server
 
 
-def test_zeromqs_own_tools_read_the_files_and_theirs_are_read(folders):
+def test_zeromqs_own_tools_and_palmd_read_each_others_files(folders):
     public, secret = zmq.auth.load_certificate(folders / "mine/desk.key_secret")
     assert keys.client_credentials(folders / "mine/desk.key_secret").pair == keys.KeyPair(public, secret)
     assert zmq.auth.load_certificate(folders / "keys/clients/desk.key") == (public, None)
@@ -73,7 +73,7 @@ def test_zeromqs_own_tools_read_the_files_and_theirs_are_read(folders):
     assert member.public == zmq.auth.load_certificate(theirs)[0]
 
 
-def test_secrets_do_not_show_in_a_traceback(folders):
+def test_secrets_do_not_appear_in_a_traceback(folders):
     guarded = keys.server_keys(folders / "keys")
     assert guarded.pair.secret.decode() not in repr(guarded)
 
@@ -91,7 +91,7 @@ def test_list_and_revoke(folders, capsys):
 
 @pytest.mark.parametrize("bits", [0o640, 0o604, 0o610, 0o602, 0o666])
 @pytest.mark.parametrize("which", ["mine/desk.key_secret", "keys/server.key_secret"])
-def test_a_secret_that_others_can_open_is_not_used(folders, bits, which):
+def test_a_secret_readable_by_others_is_not_used(folders, bits, which):
     (folders / which).chmod(bits)
     use = keys.client_credentials if which.startswith("mine") else lambda path: keys.server_keys(path.parent)
     with pytest.raises(KeysError, match=rf"other users can .* chmod 600 {folders / which}$"):
@@ -100,13 +100,13 @@ def test_a_secret_that_others_can_open_is_not_used(folders, bits, which):
 
 @pytest.mark.parametrize("which", ["keys", "keys/clients", "keys/clients/desk.key"])
 @pytest.mark.parametrize("bits", [0o020, 0o002])
-def test_a_list_that_others_can_add_to_is_not_used(folders, which, bits):
+def test_a_list_writable_by_others_is_not_used(folders, which, bits):
     (folders / which).chmod(mode(folders / which) | bits)
     with pytest.raises(KeysError, match=rf"chmod go-w {folders / which}$"):
         keys.server_keys(folders / "keys")
 
 
-def test_what_cannot_be_allowed(folders, capsys):
+def test_keys_that_cannot_be_allowed(folders, capsys):
     assert main(["keys", "new", "client", "ann", "-d", "mine"]) == 0
     allow = ("keys", "allow", "--role", "operate")
     assert "pass its file ann.key" in fails(capsys, *allow, "mine/ann.key_secret")
@@ -117,7 +117,7 @@ def test_what_cannot_be_allowed(folders, capsys):
 
 
 @pytest.mark.parametrize("name", ["", "../ann", ".ann", "a/b", "ann\n", "a" * 65, "né"])
-def test_names_that_are_none(folders, capsys, name):
+def test_invalid_names_are_refused(folders, capsys, name):
     assert "is not a valid name" in fails(capsys, "keys", "new", "client", name)
     assert "is not a valid name" in fails(capsys, "keys", "revoke", name)
 
@@ -139,13 +139,13 @@ def test_nothing_is_overwritten(folders, capsys):
         (lambda text: text.replace("secret-key", "other-key"), "contains no secret key"),
         (lambda text: text.replace("public-key", "other-key"), "contains no public key"),
         (lambda text: text[:-10] + '"\n', "damaged"),
-        (lambda text: text.rstrip()[:-1] + '00000"\n', "damaged"),  # whole Z85, but of another length
+        (lambda text: text.rstrip()[:-1] + '00000"\n', "damaged"),  # valid Z85 of another length
         (lambda text: text + '    secret-key = "x"\n', "secret-key occurs twice"),
         (lambda _: "", "contains no public key"),
         (lambda _: "\0\xff" * 5000, "contains no public key"),
     ],
 )
-def test_a_damaged_key_is_told_without_being_shown(folders, change, said):
+def test_a_damaged_key_is_reported_without_being_shown(folders, change, said):
     path = folders / "mine/desk.key_secret"
     secret = keys.client_credentials(path).pair.secret.decode()
     path.write_text(change(path.read_text()), encoding="latin-1")
@@ -185,13 +185,13 @@ def test_a_client_needs_the_daemons_public_key(folders, capsys):
         )
 
 
-def test_the_key_may_stand_in_the_environment(folders, capsys, monkeypatch):
+def test_the_key_may_be_in_the_environment(folders, capsys, monkeypatch):
     monkeypatch.setenv("PALMD_KEY", "mine/nobody.key_secret")
     assert fails(capsys, "ctl", "status").startswith("mine/nobody.key_secret: no such file")
 
 
 @pytest.mark.parametrize(("more", "counts"), [(0, True), (1, False)])
-def test_a_file_that_is_too_long_says_nothing(tmp_path, more, counts):
+def test_a_file_that_is_too_long_is_refused_without_quoting_it(tmp_path, more, counts):
     path = tmp_path / "long"
     said = 'role = "watch"\n'
     path.write_text(said + "#" * (keys.FILE_BYTES_MAX - len(said) + more), encoding="ascii")

@@ -28,7 +28,7 @@ def test_a_box_is_closed_and_a_hole_is_found():
     assert not fits(CUBE, 9.9)
 
 
-def test_points_within_a_turned_box():
+def test_points_within_a_rotated_box():
     turn = turned("y", 30.0) @ turned("z", 20.0)
     moved = CUBE.moved(turn, np.array([3.0, -2.0, 5.0]))
     points = np.random.default_rng(1).uniform(-2.0, 12.0, (2000, 3))
@@ -37,7 +37,7 @@ def test_points_within_a_turned_box():
 
 
 @pytest.mark.parametrize(("shift", "overlap"), [((10.0, 0, 0), False), ((9.8, 0, 0), True), ((3.0, 3.0, 3.0), True)])
-def test_overlap_is_more_than_touching(shift, overlap):
+def test_touching_parts_do_not_overlap(shift, overlap):
     small = box((0.0, 0.0, 0.0), (4.0, 4.0, 4.0)).moved(np.eye(3), np.array(shift))
     assert overlaps(CUBE, small) is overlap
     assert overlaps(small, CUBE) is overlap
@@ -67,7 +67,7 @@ def test_servos_are_strong_and_palms_stiff_enough():
     assert 4.0 * worst.torque_nm < STALL_NM
     give = loads.deflection_mm(TABLETOP, worst.force_n, worst.s_mm)
     assert give / worst.s_mm < np.radians(0.125), "half the servo's play"
-    assert loads.deflection_mm(TABLETOP, 0.1 * 9.81, 30.0) < 0.05, "what standoff_sd_mm says"
+    assert loads.deflection_mm(TABLETOP, 0.1 * 9.81, 30.0) < 0.05, "the value of standoff_sd_mm"
 
 
 def test_forces_balance_the_weight():
@@ -78,14 +78,14 @@ def test_forces_balance_the_weight():
     assert load.torque_nm == pytest.approx((load.force_n * load.s_mm + 0.019 * 9.81 * 26.5) * 1e-3, rel=0.05)
 
 
-def test_without_the_programs_it_says_what_is_skipped(tmp_path, monkeypatch):
+def test_without_the_programs_the_skipped_steps_are_listed(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     lines = kit.make(tmp_path / "kit", TABLETOP)
     assert {path.name for path in (tmp_path / "kit").iterdir()} == set(kit.TEXTS)
     assert sum("skipped" in line and "apt-get install" in line for line in lines) == 3
 
 
-def test_another_measure_is_taken_and_a_wrong_one_is_refused(tmp_path, capsys):
+def test_another_dimension_is_accepted_and_an_invalid_one_refused(tmp_path, capsys):
     assert kit.changed(["strip_length=73.5"]).strip_end == 76.0
     assert kit.main(["-o", str(tmp_path), "--set", "strip=3"]) == 1
     assert "there is no dimension 'strip'" in capsys.readouterr().err

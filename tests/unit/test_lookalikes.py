@@ -1,4 +1,4 @@
-"""Numbers and words written with characters that only look like ASCII: named where they stand, with what to write."""
+"""Numbers and words with characters that only look like ASCII: reported with their place and the correction."""
 
 import pytest
 
@@ -35,10 +35,12 @@ def errors(tmp_path, text):
         ("\u066b5", "U+066B ARABIC DECIMAL SEPARATOR", "0.5"),
     ],
 )
-def test_it_is_named_with_its_code_point_and_the_number_meant(tmp_path, written, name, number):
-    told = errors(tmp_path, TEXT.format(written))
-    assert any(line.startswith(f"3:{COLUMN}: {name}: ") for line in told)
-    assert any(line.startswith(f"3:{COLUMN}: pads.palm1.zero_mm") and line.endswith(f"write {number}") for line in told)
+def test_a_lookalike_is_reported_with_its_code_point_and_the_intended_number(tmp_path, written, name, number):
+    found = errors(tmp_path, TEXT.format(written))
+    assert any(line.startswith(f"3:{COLUMN}: {name}: ") for line in found)
+    assert any(
+        line.startswith(f"3:{COLUMN}: pads.palm1.zero_mm") and line.endswith(f"write {number}") for line in found
+    )
 
 
 @pytest.mark.parametrize(
@@ -46,19 +48,19 @@ def test_it_is_named_with_its_code_point_and_the_number_meant(tmp_path, written,
     [("-010", "-10"), ("010", "10"), ("-0o10", "-8"), ("1,5", "1.5"), ("-1,5", "-1.5"), ("1 000", "1000"),
      ("1,500.5", "1500.5"), ("-.5", "-0.5"), ("-1:30", "-90")],
 )  # fmt: skip
-def test_the_advice_is_the_number_that_is_meant(tmp_path, written, number):
-    (told,) = errors(tmp_path, TEXT.format(written))
-    assert f"write {number}" in told
-    assert told.startswith("3:")
+def test_the_advice_is_the_intended_number(tmp_path, written, number):
+    (problem,) = errors(tmp_path, TEXT.format(written))
+    assert f"write {number}" in problem
+    assert problem.startswith("3:")
 
 
 @pytest.mark.parametrize("odd", ["\u00a0", "\u200b", "\u2028", "\u0085", "\x00"])
-def test_what_is_not_seen_is_always_named(tmp_path, odd):
-    told = errors(tmp_path, TEXT.format(5).replace("/dev/a", f"/dev/a{odd}"))
-    assert any(line.startswith(f"3:36: U+{ord(odd):04X} ") for line in told)
+def test_invisible_characters_are_always_reported(tmp_path, odd):
+    found = errors(tmp_path, TEXT.format(5).replace("/dev/a", f"/dev/a{odd}"))
+    assert any(line.startswith(f"3:36: U+{ord(odd):04X} ") for line in found)
 
 
-def test_other_writing_is_no_error(tmp_path):
+def test_other_scripts_are_no_error(tmp_path):
     path = tmp_path / "palmd.yaml"
     path.write_text(TEXT.format(5).replace("/dev/a", "/dev/Küche–links"), encoding="utf-8")
     load_any_config(path)

@@ -68,7 +68,7 @@ from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 from tools.published import validate
 
-# As the published contract has them, written out here a second time.
+# The published contract, written out here a second time.
 UNCERTAIN = [quantity.source for quantity in ESTIMATE.quantities if quantity.uncertain]
 
 
@@ -129,7 +129,7 @@ def test_every_topic_is_built_as_its_table_says():
         assert validate(topic, stamp(fields, 1.7e9, 12.5, 7)) == []
 
 
-def test_entries_of_the_log_come_back_as_they_were():
+def test_log_entries_are_decoded_unchanged():
     fields = msgpack.unpackb(msgpack.packb(log_fields(ENTRIES)))
     assert repr(entries_of(fields)) == repr(ENTRIES)
     assert entries_of(log_fields(())) == ()
@@ -139,13 +139,13 @@ def test_the_named_state_is_the_contracts():
     assert NAMED_STATE == ("r1", "r2", "omega0", "s1", "s2", "phi1", "omega1", "phi2", "omega2", "rho", "psi")
 
 
-def test_info_tells_how_large_the_rig_is():
+def test_info_has_the_rigs_dimensions():
     config = default_config()
     rig = config.rig.model_copy(update={"palm1_length_mm": 130.0, "base_mm": (110.0, -5.0)})
     pads = config.pads.model_copy(update={"palm2": config.pads.palm2.model_copy(update={"length_mm": 40.0})})
     fields = info_fields("0", "shape", config.model_copy(update={"rig": rig, "pads": pads}))
-    told = {name: fields[name] for name in ("palm1_length_m", "palm2_length_m", "pad1_length_m", "pad2_length_m")}
-    assert told == pytest.approx(
+    lengths = {name: fields[name] for name in ("palm1_length_m", "palm2_length_m", "pad1_length_m", "pad2_length_m")}
+    assert lengths == pytest.approx(
         {"palm1_length_m": 0.13, "palm2_length_m": 0.12, "pad1_length_m": 0.0555, "pad2_length_m": 0.04}
     )
     assert fields["base_m"] == pytest.approx([0.11, -0.005])
@@ -155,16 +155,16 @@ def test_info_tells_how_large_the_rig_is():
     assert fields["config_hash"] != info_fields("0", "shape", config)["config_hash"]
 
 
-def test_numpy_truth_is_sent_as_a_boolean():
+def test_a_numpy_bool_is_sent_as_a_boolean():
     assert estimate_fields(an_estimate(valid=np.bool_(True)))["valid"] is True
 
 
-def test_stamp_is_exact_to_the_nanosecond():
+def test_the_timestamp_is_exact_to_the_nanosecond():
     fields = stamp({}, 1.7e9, 4066.152798716, 3)
     assert fields == {"v": 1, "timestamp": 1.7e9, "mono_ns": 4066152798716, "seq": 3}
 
 
-def test_messages_survive_the_wire_with_string_keys_and_nan():
+def test_messages_are_transferred_with_string_keys_and_nan():
     for fields in built().values():
         back = msgpack.unpackb(msgpack.packb(fields))
         assert set(back) == set(fields)
@@ -176,7 +176,7 @@ def test_messages_survive_the_wire_with_string_keys_and_nan():
 
 
 @pytest.mark.parametrize("name", NAMED_STATE)
-def test_estimate_is_unsound_without_any_of_the_named(name):
+def test_an_estimate_is_invalid_without_any_of_the_named_fields(name):
     good = an_estimate()
     assert named_state_is_finite(good)
     assert not named_state_is_finite(dataclasses.replace(good, **{name: math.nan}))
@@ -193,12 +193,12 @@ def test_estimate_is_unsound_without_any_of_the_named(name):
         ({"sd": {"r1": 1.0}}, "sd must be sds"),
     ],
 )
-def test_validate_finds_what_is_wrong(change, complaint):
+def test_validate_finds_invalid_fields(change, complaint):
     fields = stamp(estimate_fields(an_estimate()), 0.0, 0.0, 0) | change
     assert [complaint in error for error in validate(ESTIMATE, fields)] == [True]
 
 
-def test_validate_misses_what_is_missing():
+def test_validate_finds_missing_fields():
     fields = estimate_fields(an_estimate())
     del fields["r2_m"]
     errors = validate(ESTIMATE, fields)
@@ -218,7 +218,7 @@ EVENT = st.one_of(
 
 
 @given(NUMBERS, st.lists(EVENT, max_size=6))
-def test_events_come_back_from_the_wire_bit_for_bit(t, events):
+def test_events_are_decoded_bit_for_bit(t, events):
     fields = msgpack.unpackb(msgpack.packb(events_fields(t, events)))
     back = events_of(fields)
     assert back == tuple(events)
@@ -226,7 +226,7 @@ def test_events_come_back_from_the_wire_bit_for_bit(t, events):
     assert fields["t_tick_s"] == t
 
 
-def test_events_of_other_fields_are_refused():
+def test_events_with_other_fields_are_refused():
     fields = events_fields(1.0, [PadSample(0.99, 1, 0.02), PadLift(0.99, 2)])
     with pytest.raises(ValueError, match="source is 3"):
         events_of(fields | {"source": [3, 1]})
@@ -236,7 +236,7 @@ def test_events_of_other_fields_are_refused():
         events_of({"source": []})
 
 
-def test_a_one_sigma_of_what_has_none_is_seen():
+def test_an_sd_of_a_quantity_without_one_is_found():
     fields = stamp(built()[RIG], 1.7e9, 12.5, 7)
     fields["sd"]["pad3_zero_m"] = 1.0
     assert validate(RIG, fields)

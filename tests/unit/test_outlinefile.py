@@ -1,4 +1,4 @@
-"""Stored outlines: read as the body they were taken from, or refused with the reason and the place."""
+"""Stored outlines: read as the body they were taken from, or rejected with the reason and the place."""
 
 import json
 import math
@@ -21,7 +21,7 @@ def body(seed=0, kind="nominal"):
 
 
 def points(support, count):
-    """So many on the outline (m), as far from each other along the curve."""
+    """A number of points on the outline (m), equally spaced along the curve."""
     fine = np.linspace(0.0, math.tau, 20_001)
     v = support.sample(fine) + support.sample(fine, 2)
     arc = np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) / 2)])
@@ -57,17 +57,17 @@ def test_any_even_spacing_is_resampled_to_whole_degrees(file, count, start):
     np.testing.assert_allclose(outline.h, body().support.sample(THETA), atol=1e-12)
 
 
-def test_what_was_told_on_whole_degrees_stays_what_it_was(file):
-    """At the highest harmonic that the normals can tell, too."""
+def test_values_on_whole_degrees_are_kept(file):
+    """Up to the highest harmonic that the normals resolve."""
     theta = THETA[::4]
     rough = body().support.sample(theta) + np.random.default_rng(0).normal(0.0, 1e-6, 90)
     np.testing.assert_allclose(read_outline(as_json(file(), theta, rough)).h[::4], rough, atol=1e-12)
 
 
-def test_what_the_file_tells_is_taken(file):
+def test_values_of_the_file_are_used(file):
     theta = 2.0 + np.arange(120) * (math.tau / 120)
     sd = 1e-5 * (2 + np.cos(theta))
-    told = {
+    given = {
         "h_sd_m": sd.tolist(),
         "rho_m": 0.013,
         "rho_sd_m": 1e-4,
@@ -75,13 +75,13 @@ def test_what_the_file_tells_is_taken(file):
         "mass_sd_kg": 2e-3,
         "name": "pebble",
     }
-    outline = read_outline(as_json(file(), theta, **told))
+    outline = read_outline(as_json(file(), theta, **given))
     assert (outline.name, outline.rho, outline.rho_sd) == ("pebble", 0.013, 1e-4)
     assert (outline.mass, outline.mass_sd) == (0.1, 2e-3)
     np.testing.assert_allclose(outline.h_sd, 1e-5 * (2 + np.cos(THETA)), atol=1e-8)
 
 
-def test_what_the_file_does_not_tell_is_that_of_a_uniform_lamina(file):
+def test_missing_values_are_those_of_a_uniform_lamina(file):
     outline = read_outline(as_json(file()))
     assert outline.name == "stone"
     assert outline.rho == pytest.approx(area_moments(body().support)[3], rel=1e-4)
@@ -116,7 +116,7 @@ H = body().support.sample(THETA)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reason"),
     [
         ({"converged": False}, "has not converged"),
         ({"h": H * 1e3}, r"mean radius is \S+ m: is h_m in mm\?"),
@@ -143,15 +143,15 @@ H = body().support.sample(THETA)
         ({"name": ""}, "name must be text"),
     ],
 )  # fmt: skip
-def test_what_is_no_outline_is_refused_with_the_reason(file, changes, told):
-    with pytest.raises(OutlineError, match=told) as caught:
+def test_an_invalid_outline_is_rejected_with_the_reason(file, changes, reason):
+    with pytest.raises(OutlineError, match=reason) as caught:
         read_outline(as_json(file(), **changes))
     assert str(caught.value).startswith(f"{file()}: ")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("raw", "told"),
+    ("raw", "reason"),
     [
         (b"", r"json: the file is empty"),
         (b'{"h_m": [1,\n 2,,]}', r"json:2:4: not JSON"),
@@ -161,13 +161,13 @@ def test_what_is_no_outline_is_refused_with_the_reason(file, changes, told):
         (b'{"a":"b",\n"\xff"}', r"json:2: not text"),
     ],
 )
-def test_what_is_no_json_is_refused_with_the_place(file, raw, told):
+def test_invalid_json_is_rejected_with_the_place(file, raw, reason):
     file().write_bytes(raw)
-    with pytest.raises(OutlineError, match=told):
+    with pytest.raises(OutlineError, match=reason):
         read_outline(file())
 
 
-def test_a_file_that_is_not_there_or_of_another_kind(file):
+def test_a_missing_file_or_one_of_another_kind_is_rejected(file):
     with pytest.raises(OutlineError, match="No such file"):
         read_outline(file())
     file("stone.txt").write_text("x")
@@ -185,7 +185,7 @@ def centred(support):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("change", ["as it is", "backwards", "first repeated", "elsewhere"])
-def test_exact_points_give_the_body_back(file, kind, change):
+def test_exact_points_give_the_original_body(file, kind, change):
     support = body(3, kind).support
     xy = points(support, 200)
     if change == "backwards":
@@ -202,7 +202,7 @@ def test_exact_points_give_the_body_back(file, kind, change):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_of_digitising_is_averaged_and_told(file, seed):
+def test_digitising_noise_is_averaged_and_estimated(file, seed):
     support = body(seed, "odd").support
     xy = points(support, 400)
     noisy = xy + np.random.default_rng(seed).normal(0.0, 1e-4, xy.shape)
@@ -213,10 +213,10 @@ def test_noise_of_digitising_is_averaged_and_told(file, seed):
     assert H_SD_M < outline.h_sd[0] < 1e-4
 
 
-def test_comments_tell_what_points_do_not(file):
+def test_comments_supplement_points(file):
     support = body(1).support
-    told = ("# a stone", "# com_mm: 1.5, -0.5", "# rho_mm: 12.5", "# mass_kg: 0.2")
-    outline = read_outline(as_csv(file("stone.csv"), points(support, 200), *told))
+    comments = ("# a stone", "# com_mm: 1.5, -0.5", "# rho_mm: 12.5", "# mass_kg: 0.2")
+    outline = read_outline(as_csv(file("stone.csv"), points(support, 200), *comments))
     np.testing.assert_allclose(outline.h, support.moved(-1.5e-3, 0.5e-3).sample(THETA), atol=1e-7)
     assert (outline.rho, outline.mass) == (pytest.approx(0.0125), 0.2)
 
@@ -232,7 +232,7 @@ BEAN = XY * (1 - 0.3 * np.exp(-((np.arange(200)[:, None] - 50) ** 2) / 200))
 
 
 @pytest.mark.parametrize(
-    ("xy", "told"),
+    ("xy", "reason"),
     [
         (XY[:150], r"csv:151: the curve is open: no point for \S+ mm until line 2"),
         (np.delete(XY, range(80, 90), axis=0), r"csv:81: the curve is open"),
@@ -247,14 +247,14 @@ BEAN = XY * (1 - 0.3 * np.exp(-((np.arange(200)[:, None] - 50) ** 2) / 200))
         (XY * 0, "mean radius is 0 mm"),
     ],
 )
-def test_points_that_are_no_outline_are_refused_with_the_line(file, xy, told):
-    with pytest.raises(OutlineError, match=told) as caught:
+def test_points_that_are_no_outline_are_rejected_with_the_line(file, xy, reason):
+    with pytest.raises(OutlineError, match=reason) as caught:
         read_outline(as_csv(file("stone.csv"), xy))
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reason"),
     [
         (lambda rows: ["x,y", *rows[1:]], r"csv:1: the header must be x_mm,y_mm, got x,y"),
         (lambda rows: rows[1:], r"csv:1: the header must be"),
@@ -270,10 +270,10 @@ def test_points_that_are_no_outline_are_refused_with_the_line(file, xy, told):
         (lambda _: ["# nothing"], "0 points"),
     ],
 )
-def test_a_table_that_cannot_be_read_is_refused_with_the_line(file, change, told):
+def test_an_unreadable_table_is_rejected_with_the_line(file, change, reason):
     path = as_csv(file("stone.csv"), XY)
     path.write_text("\n".join(change(path.read_text().splitlines())))
-    with pytest.raises(OutlineError, match=told):
+    with pytest.raises(OutlineError, match=reason):
         read_outline(path)
 
 
@@ -284,8 +284,8 @@ def test_files_of_other_systems_are_read_alike(file):
     np.testing.assert_array_equal(read_outline(path).h, plain.h)
 
 
-def test_a_lamina_does_not_care_where_its_points_lie():
-    """A rectangle of 4 × 2 whose points crowd in a corner: ρ² = (4² + 2²) / 12."""
+def test_a_lamina_does_not_depend_on_the_distribution_of_its_points():
+    """A rectangle of 4 × 2 with many points in one corner: ρ² = (4² + 2²) / 12."""
     rectangle = np.array(
         [[1, 1], [1.1, 1], [1.2, 1], [1.3, 1], [5, 1], [5, 3], [1, 3], [1, 1.2], [1, 1.1]], dtype=float
     )
@@ -306,7 +306,7 @@ def test_a_library_is_every_outline_of_a_folder_in_order_of_name(tmp_path):
     assert [outline.name for outline in read_library(tmp_path / "b.json")] == ["b"]
 
 
-def test_a_library_that_cannot_be_used(tmp_path):
+def test_an_unusable_library_is_rejected(tmp_path):
     with pytest.raises(OutlineError, match="holds no outline"):
         read_library(tmp_path)
     as_json(tmp_path / "a.json")
@@ -320,7 +320,7 @@ def test_a_library_that_cannot_be_used(tmp_path):
         read_library(tmp_path / "none.json")
 
 
-def test_check_takes_outlines_too(tmp_path, capsys):
+def test_check_accepts_outlines(tmp_path, capsys):
     good, bad = as_json(tmp_path / "a.json"), as_csv(tmp_path / "b.csv", XY[:150])
     assert main(["check", str(good)]) == 0
     assert capsys.readouterr().out == f"{good}: good\n"
@@ -329,7 +329,7 @@ def test_check_takes_outlines_too(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("what", ["", "/outline.json"])
-def test_a_library_that_may_not_be_looked_at_is_told(tmp_path, what):
+def test_an_unreadable_library_is_reported(tmp_path, what):
     (tmp_path / "library").mkdir()
     path = tmp_path / f"library{what}"
     with shut(tmp_path / "library"), pytest.raises(OutlineError, match=f"^{path}: Permission denied$"):

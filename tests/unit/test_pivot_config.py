@@ -28,12 +28,12 @@ def refused(tmp_path, text):
     return "\n".join(check_files([path]))
 
 
-def test_what_is_shipped_is_good():
+def test_shipped_files_are_valid():
     assert check_files([SHIPPED, SHIPPED_SLIDE]) == []
     assert isinstance(load_any_config(SHIPPED), PivotConfig)
 
 
-def test_an_observer_is_told_the_rig_in_si():
+def test_the_observers_rig_description_is_in_si_units():
     rig = pivot_rig(load_any_config(SHIPPED))
     assert (rig.vertical, rig.arm_noise) == ("rigid", pytest.approx(2e-5))
     assert rig.pad.standoff_sd == pytest.approx(5e-5)
@@ -41,7 +41,7 @@ def test_an_observer_is_told_the_rig_in_si():
     assert (slide.vertical, slide.carriage_mass, slide.carriage_damping) == ("float", 0.04, 0.06)
 
 
-def test_who_knows_two_palms_only_says_so():
+def test_programs_for_two_palms_refuse_a_pivot_rig():
     with pytest.raises(ConfigError, match="is for a pivoting grasp, but this supports two palms"):
         load_config(SHIPPED)
 
@@ -63,7 +63,7 @@ def test_who_knows_two_palms_only_says_so():
         ),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(tmp_path, text, said):
+def test_impossible_values_are_refused_with_a_reason(tmp_path, text, said):
     import re
 
     assert re.search(said, refused(tmp_path, text))
@@ -73,7 +73,7 @@ def plan(*segments):
     return PivotPlanSpec.model_validate({"name": "p", "segments": list(segments)})
 
 
-def test_a_move_rises_before_it_goes_along_and_sinks_after(limits):
+def test_a_move_rises_before_it_travels_and_is_lowered_afterwards(limits):
     spec = plan(
         {"move": {"x_mm": 40, "z_mm": 35}, "duration_s": 3}, {"move": {"x_mm": 10, "z_mm": 20}, "duration_s": 3}
     )
@@ -86,19 +86,19 @@ def test_a_move_rises_before_it_goes_along_and_sinks_after(limits):
     assert places[4] == pytest.approx((0.01, 0.02))
 
 
-def test_what_leaves_the_limits_is_refused_with_its_place(limits):
+def test_a_plan_outside_the_limits_is_refused_with_its_place(limits):
     with pytest.raises(PlanError) as caught:
         compile_pivot_plan(plan({"hold_s": 1}, {"move": {"z_mm": 99}, "duration_s": 3}), limits)
     assert [loc for loc, _ in caught.value.problems] == [("segments", 1)]
     assert "z reaches 99 mm, the limit is 45 mm" in str(caught.value)
 
 
-def test_too_fast_a_move_is_refused(limits):
+def test_a_move_that_is_too_fast_is_refused(limits):
     with pytest.raises(PlanError, match="the speed along x reaches"):
         compile_pivot_plan(plan({"move": {"x_mm": 3}, "duration_s": 0.2}), limits, (0.05, 0.04))
 
 
-def test_the_last_guard_keeps_to_ranges_and_steps(limits):
+def test_the_last_guard_keeps_ranges_and_steps(limits):
     from palmd.events import PalmMotion
 
     here = PalmMotion.at_rest((0.02, 0.02))
@@ -109,7 +109,7 @@ def test_the_last_guard_keeps_to_ranges_and_steps(limits):
     assert limits.clamp_step(here, PalmMotion.at_rest((math.nan, 0.0)), 0.016) == here
 
 
-def test_a_plan_is_held_against_the_rigs_of_its_own_system(tmp_path):
+def test_a_plan_is_checked_against_rigs_of_its_own_system(tmp_path):
     two_palms, plans = ROOT / "config/palmd.yaml", ROOT / "config/plans"
     assert check_files([plans / "pivot/explore.yaml"]) == []
     assert check_files([SHIPPED, two_palms, plans / "pivot/explore.yaml", plans / "rock.yaml"]) == []
@@ -118,7 +118,7 @@ def test_a_plan_is_held_against_the_rigs_of_its_own_system(tmp_path):
     assert check_files([SHIPPED, two_palms, nowhere]) == check_files([SHIPPED, nowhere]) != []
 
 
-def test_a_segment_is_told_what_it_needs_once(tmp_path):
+def test_a_missing_key_of_a_segment_is_reported_once(tmp_path):
     path = tmp_path / "plan.yaml"
     path.write_text("name: a\nsegments:\n  - {hold_s: 1, x: 3}\n  - {hold: 3}\n", encoding="utf-8")
     first, second = check_files([SHIPPED, path])
@@ -126,7 +126,7 @@ def test_a_segment_is_told_what_it_needs_once(tmp_path):
     assert ":4:5: segments.1: a segment needs exactly one of the keys move, hold_s, explore" in second
 
 
-def test_the_emulated_rig_is_off_as_far_as_it_is_known():
+def test_the_emulated_rigs_errors_have_the_configured_sd():
     config = load_any_config(SHIPPED)
     off = configured_imperfections(config, 5)
     assert 0.0 < abs(off.pads[0].standoff) <= 3 * 5e-5

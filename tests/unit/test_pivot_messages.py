@@ -31,10 +31,10 @@ def test_a_second_pad_is_not_read_as_the_first():
         says.events_of(fields | {"source": [2]})
 
 
-def test_an_answer_that_accepts_nothing_comes_back_empty():
+def test_a_rejected_answer_is_decoded_empty():
     none = np.zeros(0)
-    told = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none)
-    back = says.answer_of(says.answer_fields(2.0, told))
+    rejected = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none)
+    back = says.answer_of(says.answer_fields(2.0, rejected))
     assert (back.accepted, back.reason, back.p.size, back.covariance.shape) == (False, "too little", 0, (0, 0))
 
 
@@ -44,14 +44,14 @@ def estimate(**changed):
     return PivotEstimate(t=1.0, **(values | fields | changed))
 
 
-def test_valid_wants_orientation_and_rate_with_their_bands(config):
+def test_a_valid_estimate_needs_orientation_and_rate_with_their_sd(config):
     is_finite = PivotGrasp(config).is_finite
     assert is_finite(estimate(sd={"psi": 0.1, "omega0": 0.2}))
     assert not is_finite(estimate(sd={"psi": 0.1}))
     assert not is_finite(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
 
 
-def test_the_rig_is_told_as_configured(config):
+def test_the_rig_is_published_as_configured(config):
     fields = says.info_fields("1", "pivot", config, ["explore.yaml"])
     assert not validate(PIVOT_INFO, stamped(fields))
     assert fields["z_limits_m"] == pytest.approx([0.006, 0.045])

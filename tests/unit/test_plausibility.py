@@ -1,4 +1,4 @@
-"""What can hardly be meant in a configuration is asked about, with what may be meant; what rigs have is not."""
+"""Implausible values in a configuration are questioned with a suggestion; plausible ones are not."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SLIPS = {
     "rig.angle_sd_deg": ({"rig": "angle_sd_deg: 0.0000175"}, "1.75e-05°", "0.001003°"),
     "pads.palm1.zero_mm": ({"pad": "zero_mm: 0.028"}, "0.028 mm", "28 mm"),
     "pads.palm1.newtons_per_count": ({"pad": "newtons_per_count: 20"}, "20 N/count", "0.02 N/count"),  # mN
-    "pads.palm1.counts_per_mm": ({"pad": "counts_per_mm: 0.127"}, "0.127 counts/mm", "7.874 counts/mm"),  # mm a count
+    "pads.palm1.counts_per_mm": ({"pad": "counts_per_mm: 0.127"}, "0.127 counts/mm", "7.874 counts/mm"),  # mm per count
     "pads.palm1.length_mm": ({"pad": "length_mm: 0.0555"}, "0.0555 mm", "55.5 mm"),
     "pads.palm1.noise_mm": ({"pad": "noise_mm: 0.0001"}, "0.0001 mm", "0.1 mm"),
     "pads.palm1.lag_sd_ms": ({"pad": "lag_sd_ms: 0.002"}, "0.002 ms", "2 ms"),
@@ -44,10 +44,10 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("key", SLIPS)
-def test_a_slip_of_unit_is_told_with_what_may_be_meant(key: str, tmp_path: Path) -> None:
+def test_a_wrong_unit_is_reported_with_a_suggestion(key: str, tmp_path: Path) -> None:
     parts, got, meant = SLIPS[key]
     path = config_file(tmp_path, **parts)
-    load_config(path)  # the daemon takes it
+    load_config(path)  # the daemon accepts it
     (error,) = (each for each in check_files([path]) if f" {key}: " in each)
     assert f"{key}: {got} is implausible: " in error
     assert error.endswith(f"; did you mean {meant}?")
@@ -60,12 +60,12 @@ def test_a_pads_zero_lies_on_the_pad(tmp_path: Path) -> None:
     assert "pads.palm1.zero_mm: count 0 would be 280 mm from the hinge, but the pad ends at 55.5 mm" in error
 
 
-def test_counts_an_inch_are_found_too(tmp_path: Path) -> None:
+def test_counts_per_inch_are_found_too(tmp_path: Path) -> None:
     (error,) = check_files([config_file(tmp_path, pad="counts_per_mm: 200")])
     assert error.endswith("did you mean 7.874 counts/mm?")
 
 
-def test_an_arm_that_stands_in_the_palms_is_told(tmp_path: Path) -> None:
+def test_an_arm_that_stands_in_the_palms_is_reported(tmp_path: Path) -> None:
     path = config_file(tmp_path, arm="base_x_mm: -0.3")
     (error,) = check_files([path])
     assert error == (
@@ -90,7 +90,7 @@ def test_a_pad_is_no_longer_than_its_palm(tmp_path: Path) -> None:
         {"rest": "limits: {phi1_deg: [20, 70], rate_deg_s: 10}\nloop: {rate_hz: 50}"},
     ],
 )
-def test_what_rigs_have_is_not_asked_about(parts: dict[str, str], tmp_path: Path) -> None:
+def test_plausible_values_are_not_questioned(parts: dict[str, str], tmp_path: Path) -> None:
     assert check_files([config_file(tmp_path, **parts)]) == []
 
 
@@ -108,5 +108,5 @@ def test_every_default_is_plausible() -> None:
         assert implausible(read_document(path), load_any_config(path)) == []
 
 
-def test_what_nobody_can_guess_is_only_asked_about() -> None:
+def test_implausible_values_without_a_suggestion_are_questioned_only() -> None:
     assert describe_implausible("palm1_length_mm", 1500.0, Plausible(20, 21), 20.5).endswith("20 to 21 mm is usual")

@@ -1,4 +1,4 @@
-"""What a release promises is kept: the stored copy against the code, and the comparison itself."""
+"""Compatibility promises of a release: the stored copy against the code, and the comparison itself."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def now() -> dict[str, object]:
     return json.loads(json.dumps(promised()))
 
 
-def test_all_that_is_promised_is_kept_and_stored(now) -> None:
+def test_every_promised_name_exists_and_is_stored(now) -> None:
     stored = json.loads(STORED.read_text(encoding="utf-8"))
     assert list(broken(stored, now)) == []
     assert list(broken(now, stored)) == [], "new fields, options or keys: python -m tools.promises --write"
@@ -29,7 +29,7 @@ def test_all_that_is_promised_is_kept_and_stored(now) -> None:
         (("requests", "jog"), "requests: jog is missing"),
     ],
 )
-def test_what_is_taken_away_is_named(now, path, line) -> None:
+def test_removed_names_are_reported(now, path, line) -> None:
     less = copy.deepcopy(now)
     inner = less
     for name in path[:-1]:
@@ -38,7 +38,7 @@ def test_what_is_taken_away_is_named(now, path, line) -> None:
     assert list(broken(now, less)) == [line]
 
 
-def test_another_unit_and_a_lost_option_are_named(now) -> None:
+def test_a_changed_unit_and_a_removed_option_are_reported(now) -> None:
     other = copy.deepcopy(now)
     other["topics"]["palm/estimate"]["psi_rad"] = ["number", "deg"]
     other["commands"]["export"].remove("--as")
@@ -48,7 +48,7 @@ def test_another_unit_and_a_lost_option_are_named(now) -> None:
     ]
 
 
-def test_what_is_added_breaks_nothing(now) -> None:
+def test_additions_break_nothing(now) -> None:
     more = copy.deepcopy(now)
     more["topics"]["palm/estimate"]["new_m"] = ["number", "m"]
     assert list(broken(now, more)) == []

@@ -1,7 +1,7 @@
-"""The bytes of what is published, frozen: order of the fields, their types and their values, of every system.
+"""The bytes of published messages, frozen: order of the fields, types and values, of every system.
 
-Inputs are exact and nothing is computed with them but units, so that every machine gives these bytes. A change of a
-digest is a change of the bus's wire and of every recording: it needs a reason in its commit.
+Inputs are exact and only units are computed, so that every machine gives these bytes. A changed digest is a change of
+the bus protocol and of every recording: it needs a reason in its commit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def numbers(*shape: int) -> np.ndarray:
 
 
 def filled(kind, **given):
-    """A dataclass with a number of its own in each field that is not given."""
+    """A dataclass with a distinct number in each field that is not given."""
     names = [each.name for each in dataclasses.fields(kind)]
     return kind(**{name: given.get(name, (i + 1) / 8) for i, name in enumerate(names)})
 
@@ -114,11 +114,11 @@ FROZEN = {
     "palm3/answer": (93975, "6c43a411c04cfbe1"),
     "palm3/info": (684, "eb62082f035bd1d3"),
 }
-"""By message: how many bytes, and the beginning of their sha256."""
+"""By message: number of bytes, and the beginning of their sha256."""
 
 
 @pytest.mark.parametrize("name", MESSAGES)
-def test_the_bytes_of_a_message_are_those_that_recordings_have(name):
+def test_messages_have_the_bytes_of_stored_recordings(name):
     fields = MESSAGES[name]()
     packed = FieldsPacker()(messages.stamp(fields, 1.0, 2.0, 3))
     assert (len(packed), hashlib.sha256(packed).hexdigest()[:16]) == FROZEN[name]

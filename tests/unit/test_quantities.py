@@ -1,4 +1,4 @@
-"""The table of quantities: whole, and true of what is built from it."""
+"""The table of quantities is complete and consistent with messages."""
 
 import dataclasses
 import math
@@ -23,13 +23,13 @@ def test_a_name_ends_in_its_unit(topic, quantity):
         assert quantity.name.endswith(SUFFIXES[quantity.unit])
 
 
-def test_names_are_said_once_a_topic():
+def test_names_are_unique_within_a_topic():
     for topic in (*TOPICS, *RIG_TOPICS):
         names = [quantity.name for quantity in (*STAMP, *topic.quantities)]
         assert len(set(names)) == len(names), topic.name
 
 
-def test_what_is_drawn_is_drawn_somewhere():
+def test_every_drawn_quantity_has_a_chart():
     known = {chart.name for chart in CHARTS}
     assert {quantity.chart for _, quantity in EVERYTHING} - {""} == known
     for chart in CHARTS:
@@ -37,15 +37,15 @@ def test_what_is_drawn_is_drawn_somewhere():
         assert len({quantity.unit for _, quantity in found}) == 1, chart.name
         if chart.span is not None:
             drawn_of = [topic for topic in (ESTIMATE, PALM3) if any(drawn(topic, chart=chart.name))]
-            assert drawn_of, f"{chart.name} is a strip of nothing"
+            assert drawn_of, f"{chart.name} is an empty strip"
 
 
-def test_an_estimate_has_what_is_taken_from_it():
+def test_every_field_of_an_estimate_is_the_source_of_a_quantity():
     known = {field.name for field in dataclasses.fields(Estimate)} - {"t", "sd"}
     assert {quantity.source for quantity in ESTIMATE.quantities} - {""} == known
 
 
-def test_what_is_uncertain_can_be_written_down():
+def test_quantities_with_an_sd_have_unique_symbols_and_labels():
     uncertain = [quantity for quantity in ESTIMATE.quantities if quantity.uncertain]
     assert len({quantity.symbol for quantity in uncertain} - {""}) == len(uncertain)
     assert ESTIMATE["r1_m"].label == "r₁ (mm)"
@@ -54,14 +54,14 @@ def test_what_is_uncertain_can_be_written_down():
         ESTIMATE["r3_m"]
 
 
-def test_how_old_a_topic_may_be_follows_from_its_rate():
+def test_the_allowed_age_of_a_topic_follows_from_its_rate():
     assert (ESTIMATE.stale_s, STATE.stale_s, LOOP.stale_s, IMPROVEMENT.stale_s) == (0.5, 0.5, 3.0, math.inf)
     assert (ESTIMATE.rate, STATE.rate, LOOP.rate) == ("100 Hz, every tick", "10 Hz, and on change", "1 Hz")
 
 
-def test_the_rig_tells_what_its_topics_say():
+def test_the_rigs_truth_has_the_quantities_of_its_topics():
     world = World(default_config(), 1)
     assert set(world.truth()) == {quantity.name for quantity in TRUTH.quantities}
     assert set(world.object_truth()) == {quantity.name for quantity in BODY.quantities}
-    told = [truth_of(ESTIMATE[name]) for name in ("r1_m", "rho_m", "v1_m", "touched")]
-    assert told == [TRUTH, BODY, None, None]
+    topics = [truth_of(ESTIMATE[name]) for name in ("r1_m", "rho_m", "v1_m", "touched")]
+    assert topics == [TRUTH, BODY, None, None]

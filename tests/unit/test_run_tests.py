@@ -1,4 +1,4 @@
-"""How all tests are run: side by side, nothing left out, and a rig's that was kept waiting tried again by itself."""
+"""Running all tests: in parallel, none left out, and delayed rig tests repeated alone."""
 
 import importlib.util
 import sys
@@ -34,7 +34,7 @@ def tool(monkeypatch):
 
 @pytest.fixture
 def ran(tool, monkeypatch, tmp_path):
-    """Exit status, and who ran how, for parts of (name, status, status when tried again, whether of a rig)."""
+    """Exit status, and the runs of parts given as (name, status, status when repeated, whether of a rig)."""
     (tmp_path / "part.py").write_text(SCRIPT)
     monkeypatch.chdir(tmp_path)
 
@@ -50,22 +50,22 @@ def ran(tool, monkeypatch, tmp_path):
     return run
 
 
-def test_a_rig_that_fails_when_others_are_over_is_tried_again_by_itself(ran, capfd):
+def test_a_rig_test_that_fails_beside_others_is_repeated_alone(ran, capfd):
     assert ran(("other", 0, 9, False), ("rig", 1, 0, True)) == (
         0,
         [("other", "first", "None"), ("rig", "again", "None"), ("rig", "first", "1")],
     )
-    told = capfd.readouterr().out
-    assert told.index("rig, after") < told.index("rig: repeating failed tests") < told.index("failed: nothing")
-    assert "other talks" in told
+    output = capfd.readouterr().out
+    assert output.index("rig, after") < output.index("rig: repeating failed tests") < output.index("failed: nothing")
+    assert "other talks" in output
 
 
 @pytest.mark.parametrize(
     ("tries", "how", "status"),
     [("0", ["1"], 0), ("1,0", ["1", "None"], 0), ("1,1", ["1", "None"], 1), ("2", ["1"], 1)],
 )
-def test_while_others_run_it_is_tried_again_at_once(ran, tries, how, status):
-    """And by itself only if it fails then too."""
+def test_it_is_first_repeated_at_once_while_others_run(ran, tries, how, status):
+    """And alone only if it fails again."""
     found, log = ran(("rig", 1, tries, True), ("slow", 0, 9, False))
     assert found == status
     assert log == [*(("rig", "again", each) for each in how), ("rig", "first", "1"), ("slow", "first", "None")]
@@ -79,7 +79,7 @@ def test_while_others_run_it_is_tried_again_at_once(ran, tries, how, status):
         [("rig", 0, 0, True), ("other", 1, 0, False)],
     ],
 )
-def test_what_fails_has_failed(ran, parts, capfd):
+def test_a_failed_part_fails_the_run(ran, parts, capfd):
     status, log = ran(*parts)
     assert status == 1
     assert len(log) == len(parts) + (parts[0][1] == 1)

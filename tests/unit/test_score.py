@@ -1,4 +1,4 @@
-"""The outline's score against shapes whose errors are known on paper."""
+"""The outline's score against shapes whose errors are known analytically."""
 
 import math
 
@@ -17,14 +17,14 @@ def outline(theta):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, math.pi, -2.9, 5.0, 1e-3, math.radians(0.25)])
-def test_the_same_outline_is_found_whichever_way_round_it_is(turn):
+def test_the_same_outline_is_found_in_any_rotation(turn):
     score = score_outline(THETA, outline(THETA + turn), ALL, outline(THETA))
     assert score.e_h < 1e-8
     assert math.remainder(score.rotation - turn, math.tau) == pytest.approx(0.0, abs=1e-5)
     assert score.touched == 1.0
 
 
-def test_an_error_of_known_size_in_a_harmonic_that_no_rotation_can_give():
+def test_an_error_of_known_size_in_a_harmonic_that_no_rotation_changes():
     score = score_outline(THETA, outline(THETA + 1.0) + 3e-5 * np.cos(6 * THETA), ALL, outline(THETA))
     assert score.e_h == pytest.approx(3e-5 / math.sqrt(2), rel=1e-3)
     assert score.max_error == pytest.approx(3e-5, rel=1e-3)
@@ -32,7 +32,7 @@ def test_an_error_of_known_size_in_a_harmonic_that_no_rotation_can_give():
 
 
 def test_the_centre_of_mass_is_no_gauge():
-    """The same body about another point is another answer: 1 mm along x gives 1 mm · cos θ of error."""
+    """The same body about another point is a different answer: 1 mm along x gives 1 mm · cos θ of error."""
     shifted = 0.02 + 8e-4 * np.cos(2 * THETA) + 1e-3 * np.cos(THETA)
     score = score_outline(THETA, shifted, ALL, 0.02 + 8e-4 * np.cos(2 * THETA))
     assert score.e_h == pytest.approx(1e-3 / math.sqrt(2), rel=1e-6)
@@ -52,7 +52,7 @@ def test_the_estimates_normals_may_be_any():
     assert score.e_h < 1e-8
 
 
-def test_the_rotation_is_the_best_of_all():
+def test_the_rotation_is_the_global_optimum():
     """Against brute force, on an estimate that is wrong everywhere and touched in part."""
     random = np.random.default_rng(2)
     touched = random.random(360) < 0.3
@@ -65,11 +65,11 @@ def test_the_rotation_is_the_best_of_all():
     assert score.e_h == pytest.approx(best, rel=1e-4)
 
 
-def test_an_outline_that_looks_nearly_the_same_seven_ways_round():
+def test_an_outline_with_near_sevenfold_symmetry():
     def nearly(theta):
         return 0.02 + 1e-4 * np.cos(7 * theta) + 1e-6 * np.cos(theta)
 
-    turn = math.radians(0.25)  # where a search on whole and half degrees sees it worst
+    turn = math.radians(0.25)  # the worst case for a search on whole and half degrees
     score = score_outline(THETA, nearly(THETA + turn), ALL, nearly(THETA))
     assert score.e_h < 1e-9
     assert score.rotation == pytest.approx(turn, abs=1e-5)
@@ -81,6 +81,6 @@ def test_nothing_touched_gives_no_number():
     assert score.touched == 0.0
 
 
-def test_lengths_must_fit():
+def test_lengths_must_agree():
     with pytest.raises(ValueError, match="do not fit"):
         score_outline(THETA, outline(THETA)[:-1], ALL, outline(THETA))

@@ -1,4 +1,4 @@
-"""The documentation as a site: built without a warning, asking nobody else for anything, searched from the disk."""
+"""The documentation as a site: built without a warning, loads nothing external, and is searchable from the disk."""
 
 import os
 import re
@@ -20,7 +20,7 @@ ELSEWHERE = ("http:", "https:", "//")
 
 
 class Page(HTMLParser):
-    """What a browser fetches when it shows the page."""
+    """The addresses that a browser loads for a page."""
 
     def __init__(self, text):
         super().__init__()
@@ -28,9 +28,9 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        told = dict(attrs)
-        if tag in FETCHED and told.get(FETCHED[tag]) and told.get("rel") != "canonical":
-            self.fetched.append(told[FETCHED[tag]])
+        attributes = dict(attrs)
+        if tag in FETCHED and attributes.get(FETCHED[tag]) and attributes.get("rel") != "canonical":
+            self.fetched.append(attributes[FETCHED[tag]])
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def site(tmp_path_factory):
     return folder
 
 
-def test_no_page_asks_anybody_else_for_anything(site):
+def test_no_page_loads_anything_external(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 60
     for page in pages:
@@ -62,13 +62,13 @@ def test_the_notebook_is_shown_as_it_runs(site):
     assert len(re.findall(r'<img [^>]*src="first-notebook-\d+\.svg"', page)) >= 3
 
 
-def test_the_library_is_told_from_its_docstrings(site):
+def test_the_library_is_documented_from_its_docstrings(site):
     page = re.sub("<[^>]*>", "", (site / "reference/api.html").read_text())
     for words in ("reconstruct", "Raises", "OutlineData", "DataTable"):
         assert words in page
 
 
-def test_the_site_is_searched_from_the_disk(site):
+def test_the_site_can_be_searched_from_the_disk(site):
     chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or driver is None:
         pytest.skip("needs chromium and chromedriver")

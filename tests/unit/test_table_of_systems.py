@@ -1,4 +1,4 @@
-"""The table of systems: its parts are there, and none is loaded by a rig of another system."""
+"""The table of systems: its parts exist, and a rig of another system loads none of them."""
 
 from __future__ import annotations
 
@@ -58,24 +58,24 @@ print(*sorted(name for name in sys.modules if name.startswith("palmd.")))
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_every_part_of_the_table_is_there(part):
+def test_every_part_of_the_table_exists(part):
     assert load_part(part) is not None
 
 
-def test_a_configuration_says_which_row_is_its_own():
+def test_a_configuration_selects_its_row():
     assert {name: load_part(live.config).system for name, live in LIVE.items()} == {name: name for name in LIVE}
 
 
 def test_a_rig_of_two_palms_loads_nothing_of_another_system():
-    told = subprocess.run([sys.executable, "-c", LOADED, "demo.yaml"], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", LOADED, "demo.yaml"], capture_output=True, text=True, check=True)
     names = "pivot", "three_palms", "dragging", "drags"
-    loaded = {name for name in told.stdout.split() if any(each in name for each in names)}
+    loaded = {name for name in done.stdout.split() if any(each in name for each in names)}
     assert loaded == {
         "palmd.system.pivot",
         "palmd.pivot_quantities",
         "palmd.system.three_palms",
         "palmd.three_palms_quantities",
-    }  # what axes and topics are called
+    }  # names of axes and topics
 
 
 class TwinRig(PivotRigConfig):
@@ -96,7 +96,7 @@ PLANS = replace(pivot.PLANS, configured=TwinLimits.of, over=TwinLimits.over)
 
 @pytest.fixture
 def twin(monkeypatch, tmp_path):
-    """The configuration of a system that is in the table, and nowhere else: it moves as a pivoting grasp."""
+    """The configuration of a system that exists only in the table: it moves as a pivoting grasp."""
     parts = replace(LIVE["pivot"], config=f"{__name__}:TwinConfig", plans=f"{__name__}:PLANS")
     monkeypatch.setitem(LIVE, "twin", parts)
     monkeypatch.setitem(SYSTEMS, "twin", replace(SYSTEMS["pivot"], name="twin", words="a twin", live=parts))
@@ -107,7 +107,7 @@ def twin(monkeypatch, tmp_path):
     return path
 
 
-def test_a_row_is_all_that_another_system_takes_to_be_checked_and_run(twin):
+def test_a_row_is_sufficient_to_check_and_run_another_system(twin):
     assert check_files([twin]) == []
     config = load_any_config(twin)
     assert type(config) is TwinConfig
@@ -121,8 +121,8 @@ def test_a_row_is_all_that_another_system_takes_to_be_checked_and_run(twin):
         world = load_part(LIVE["twin"].rig)(config, 3)
         loop = ClosedLoop(world, Core(config, estimator, AtOnce(), plan, system=system), config.loop.rate_hz)
         loop.start()
-        told = {topic for instant in loop.run(0.5) for topic in instant.messages}
-    assert {topic.name for topic in (PIVOT, PIVOT_MOTION, STATE)} <= told
+        topics = {topic for instant in loop.run(0.5) for topic in instant.messages}
+    assert {topic.name for topic in (PIVOT, PIVOT_MOTION, STATE)} <= topics
     assert [what for what, _ in build.needed_by(config)] == ["pivoting grasp"]
     assert json.loads(preface(config, "").attachments["rig.json"])["gravity"] == config.rig.gravity_m_s2
 

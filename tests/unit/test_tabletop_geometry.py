@@ -21,7 +21,7 @@ from tools.tabletop.parameters import parameters
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_config(ROOT / "config/tabletop.yaml")
 OTHER = replace(TABLETOP, strip_start=3.0, strip_length=73.5, palm_length=88.0, palm_width=18.0, axis_height=75.0)
-"""Another rig, to see that what is made follows the geometry."""
+"""Another rig, to test that the results follow the geometry."""
 
 
 def usual_answers() -> dict[str, object]:
@@ -44,7 +44,7 @@ def test_configuration_defaults_are_the_drawn_rig():
     assert STRIP_COUNTS == POSITION_MAX
 
 
-def test_a_fixed_hinge_has_the_drawn_palms_unless_told_otherwise():
+def test_a_fixed_hinge_has_the_drawn_palms_by_default():
     assert RigConfig(hinge="fixed").palm_lengths_mm == (75.0, 75.0)
     assert RigConfig(hinge="fixed", palm1_length_mm=90.0).palm_lengths_mm == (90.0, 75.0)
     assert RigConfig().palm_lengths_mm == (120.0, 120.0)
@@ -74,7 +74,7 @@ def test_openscad_is_given_the_geometry(geometry):
     used = set(re.findall(r"\b[a-z]\w*_\w+\b", re.sub(r"//.*", "", program)))
     own = set(re.findall(r"(?:module|function) (\w+)|^\s*(\w+) = ", program, re.MULTILINE))
     own = {name for pair in own for name in pair if name} | {"linear_extrude"}
-    assert used - own <= set(given), "every measure of the parts is in the geometry"
+    assert used - own <= set(given), "every dimension of the parts is in the geometry"
 
 
 @pytest.mark.parametrize("geometry", [TABLETOP, OTHER])

@@ -20,11 +20,11 @@ def limits():
     return TiltLimits.of(load_any_config(SHIPPED))
 
 
-def test_what_is_shipped_is_good():
+def test_shipped_files_are_valid():
     assert check_files([SHIPPED, *(ROOT / "config/plans/three_palms").iterdir()]) == []
 
 
-def test_an_observer_is_told_the_rig_in_si():
+def test_the_observers_rig_description_is_in_si_units():
     rig = three_palms_rig(load_any_config(SHIPPED))
     assert rig.pad.side == pytest.approx(0.075)
     assert rig.angle_noise == pytest.approx(math.radians(0.015))
@@ -41,7 +41,7 @@ def test_an_observer_is_told_the_rig_in_si():
         ("rig: {system: three_palms, mechanism: delta}\n" + PADS + "arm: {port: d}\n", "edge-axis"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(tmp_path, text, said):
+def test_impossible_values_are_refused_with_a_reason(tmp_path, text, said):
     path = tmp_path / "rig.yaml"
     path.write_text(text, encoding="utf-8")
     assert said in "\n".join(check_files([path]))
@@ -63,14 +63,14 @@ def test_moves_holds_and_swings_follow_one_another(limits):
     )
     assert trajectory.at(0.0).angles == (0.9, 0.8, 0.7)
     assert trajectory.at(2.5).angles == pytest.approx((math.radians(50), 0.8, 0.7))
-    swung = trajectory.at(3.0 + 2.5 + 2.0)  # a quarter of a turn after two whole ones, grown in
+    swung = trajectory.at(3.0 + 2.5 + 2.0)  # a quarter period after two whole ones, at full amplitude
     assert swung.angles[0] == pytest.approx(math.radians(50), abs=math.radians(5.01))
     assert swung.angles[1] == 0.8
     assert trajectory.place(3.5).label == "sine"
     assert trajectory.duration == pytest.approx(11.0)
 
 
-def test_an_exploration_comes_last_and_asks_for_no_band(limits):
+def test_an_exploration_comes_last_and_has_no_band(limits):
     goal = {"explore": {"coverage": 0.8, "time_limit_s": 30}}
     found = compile_tilt_plan(plan({"hold_s": 1}, goal), limits).exploration(2.0)
     assert found is not None
@@ -81,7 +81,7 @@ def test_an_exploration_comes_last_and_asks_for_no_band(limits):
         plan({"explore": {"band_mm": 0.1}})
 
 
-def test_what_leaves_the_limits_is_refused_with_its_place(limits):
+def test_a_plan_outside_the_limits_is_refused_with_its_place(limits):
     with pytest.raises(PlanError) as caught:
         compile_tilt_plan(plan({"hold_s": 1}, {"move": {"gamma2_deg": 80}, "duration_s": 3}), limits)
     assert [loc for loc, _ in caught.value.problems] == [("segments", 1)]

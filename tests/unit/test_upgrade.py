@@ -1,4 +1,4 @@
-"""What release 0.2 has left on a machine goes on working: its configuration, keys and recordings.
+"""Files that release 0.2 has left on a machine still work: its configuration, keys and recordings.
 
 `tests/data/0.2` is of commit 5995043c: `root` is what its `palmd install --root` wrote, with commands in `/opt/palmd`;
 `run.mcap` what its `palmd demo --perfect --seconds 2.6 --seed 7` recorded at 10 ticks a second with the lively plan.
@@ -28,7 +28,7 @@ def files(root):
     return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-def test_an_upgrade_keeps_what_is_the_machines_own_and_renews_the_rest(tmp_path, capsys):
+def test_an_upgrade_keeps_the_machines_own_files_and_replaces_the_rest(tmp_path, capsys):
     root = tmp_path / "root"
     shutil.copytree(OLD / "root", root)
     config = root / "etc/palmd/palmd.yaml"
@@ -48,7 +48,7 @@ def test_an_upgrade_keeps_what_is_the_machines_own_and_renews_the_rest(tmp_path,
     assert set(before) <= set(after)
     unit = Path("usr/local/lib/systemd/system/palmd.service")
     assert before[unit] != after[unit]
-    assert "RuntimeDirectory=palmd" in after[unit].decode(), "as today's local sockets need"
+    assert "RuntimeDirectory=palmd" in after[unit].decode(), "needed by today's local sockets"
     capsys.readouterr()
     assert main(["check", str(config), *map(str, sorted((root / "etc/palmd/plans").iterdir()))]) == 0
     assert load_config(config).rig.palm_lengths_mm == (118.4, 120.0)
@@ -58,8 +58,8 @@ def test_an_upgrade_keeps_what_is_the_machines_own_and_renews_the_rest(tmp_path,
     assert "2026-11-23T06-00-00Z" in capsys.readouterr().out
 
 
-def test_a_configuration_that_0_2_installed_means_what_it_meant():
-    """Every key that stands in it has its value today."""
+def test_a_configuration_installed_by_0_2_keeps_its_meaning():
+    """Every key in it has its value today."""
     path = OLD / "root/etc/palmd/palmd.yaml"
     written = yaml.safe_load(path.read_text())
     loaded = load_config(path).model_dump(mode="json")
@@ -72,9 +72,9 @@ def test_a_configuration_that_0_2_installed_means_what_it_meant():
     assert agrees(written, loaded)
 
 
-def test_its_services_have_the_names_of_today():
+def test_services_still_have_their_names():
     for path in (OLD / "root/usr/local/lib/systemd/system").iterdir():
-        assert shipped_service(path.name).exists(), "else a service of before would go on beside today's"
+        assert shipped_service(path.name).exists(), "otherwise an old service would run beside today's"
 
 
 def test_its_run_opens_as_tables():

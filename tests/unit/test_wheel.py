@@ -1,4 +1,4 @@
-"""What a wheel contains: the package and its data, no study, tool or test."""
+"""The content of a wheel: the package and its data, no study, tool or test."""
 
 import zipfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Every way a YAML file can be wrong gets a line that says where and what; nothing hangs."""
+"""Every error in a YAML file is reported with its place; nothing hangs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def said(path: Path, content: str | bytes) -> list[str]:
-    """The errors of a configuration, as `line:col: what`."""
+    """The errors of a configuration, as `line:col: text`."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     with pytest.raises(ConfigError) as caught:
         load_config(path)
@@ -38,7 +38,7 @@ def test_a_good_file_loads_with_paths_beside_it(file: Path) -> None:
     assert config.limits.phi1_deg == (6.0, 150.0)
 
 
-def test_all_errors_at_once_each_at_its_place(file: Path) -> None:
+def test_all_errors_are_reported_at_once_each_at_its_place(file: Path) -> None:
     content = """\
 rig:
   gravity_m_s2: .nan
@@ -93,7 +93,7 @@ bus: {publish: "tcp://0.0.0.0:9872"}
         ("[" * 1000, "1:21: nested too deeply"),
     ],
 )
-def test_files_that_cannot_be_read_as_yaml(file: Path, content: str | bytes, expected: str) -> None:
+def test_unreadable_yaml_files_are_rejected(file: Path, content: str | bytes, expected: str) -> None:
     assert said(file, content) == [expected]
 
 
@@ -125,7 +125,7 @@ def test_files_that_cannot_be_read_as_yaml(file: Path, content: str | bytes, exp
         ),
     ],
 )
-def test_yaml_that_does_not_mean_what_it_seems(file: Path, line: str, expected: str) -> None:
+def test_misleading_yaml_is_rejected(file: Path, line: str, expected: str) -> None:
     assert expected in said(file, PORTS + line + "\n")
 
 
@@ -135,7 +135,7 @@ def test_a_word_over_several_lines_is_quoted_in_one(file: Path) -> None:
     assert all(len(line.splitlines()) == 1 for line in lines)
 
 
-def test_notations_that_are_fine(file: Path) -> None:
+def test_valid_notations_are_accepted(file: Path) -> None:
     file.write_text(
         PORTS + "autostart: yes\nlimits: {rate_deg_s: 1.0e+2, acceleration_deg_s2: 1_000}\n"
         "rig: {gravity_m_s2: 9, base_mm: [0, -0.5]}\n"
@@ -148,12 +148,12 @@ def test_notations_that_are_fine(file: Path) -> None:
     )
 
 
-def test_a_byte_order_mark_does_not_matter(file: Path) -> None:
+def test_a_byte_order_mark_is_ignored(file: Path) -> None:
     file.write_bytes(b"\xef\xbb\xbf" + PORTS.encode())
     load_config(file)
 
 
-def test_places_that_are_no_files(tmp_path: Path) -> None:
+def test_paths_that_are_no_files_are_rejected(tmp_path: Path) -> None:
     for path, what in (
         (tmp_path, "this is a folder, not a file"),
         (tmp_path / "none.yaml", "no such file"),
@@ -175,14 +175,14 @@ def test_places_that_are_no_files(tmp_path: Path) -> None:
     ],
     ids=["10 MB", "10 MB of lists", "aliases", "8000 unknown keys", "braces"],
 )
-def test_absurd_files_are_refused_quickly(file: Path, content: bytes) -> None:
+def test_absurd_files_are_rejected_quickly(file: Path, content: bytes) -> None:
     begin = time.monotonic()
     errors = said(file, content)
     assert time.monotonic() - begin < 10.0
     assert 0 < len(errors) < 200
 
 
-def test_plan_errors_point_into_the_segments(file: Path) -> None:
+def test_plan_errors_are_placed_within_their_segments(file: Path) -> None:
     file.write_text("""\
 name: 1
 repeat: often
@@ -228,7 +228,7 @@ def test_any_bytes_give_a_document_or_error_lines(tmp_path_factory: pytest.TempP
     assert all(LINE.fullmatch(line) for line in errors)
 
 
-def test_a_flood_of_errors_is_cut_and_says_so(file: Path) -> None:
+def test_a_flood_of_errors_is_cut_with_a_note(file: Path) -> None:
     errors = said(file, PORTS + "\n".join(f"key{number}: 1" for number in range(500)))
     assert "1:1: 400 more errors are not shown" in errors
     assert len(errors) == 101

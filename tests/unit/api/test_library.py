@@ -40,7 +40,7 @@ def simulated(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A recorded run with contacts and outlines besides what `recorded` has."""
+    """A recorded run with contacts and outlines in addition to `recorded`."""
     file, _ = recorded.begun(tmp_path_factory.mktemp("runs"))
     for i in range(3):
         contact = contact_fields((PadView(s=0.01 * i), PadView(touch=True)), 0.02)
@@ -54,13 +54,13 @@ def recording(tmp_path_factory):
 # --------------------------------------------------------------------------------------------------- the package
 
 
-def test_importing_palmd_loads_nothing_but_itself():
+def test_importing_palmd_loads_no_other_library():
     program = "import sys, palmd; print(sorted(m for m in sys.modules if m.startswith(('palmd', 'numpy', 'zmq'))))"
-    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert told.strip() == "['palmd']"
+    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == "['palmd']"
 
 
-def test_every_name_of_the_package_is_there_and_no_other():
+def test_every_exported_name_has_a_docstring():
     assert palmd.__all__ == sorted(palmd.__all__)
     for name in palmd.__all__:
         assert getattr(palmd, name).__doc__, name
@@ -83,14 +83,14 @@ def test_an_event_log_gives_its_events_as_arrays(simulated):
     np.testing.assert_array_equal(events.palms["phi2_rad"], [line["palms"]["phi2_rad"] for line in rows])
 
 
-def test_an_event_log_says_that_it_has_no_estimates_and_what_makes_them(simulated):
+def test_an_event_log_names_the_function_that_makes_its_estimates(simulated):
     for name in ("estimates", "contacts", "outlines", "outline"):
         with pytest.raises(palmd.PalmdError, match=r"log\.jsonl: is an event log .* palmd\.estimate"):
             getattr(palmd.open(simulated[0]), name)
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"palmd_log":1}'])
-def test_what_is_no_log_is_refused_where_it_is_opened(tmp_path, text):
+def test_opening_a_file_that_is_no_log_is_an_error(tmp_path, text):
     (tmp_path / "x.jsonl").write_text(text)
     with pytest.raises(palmd.PalmdError, match=r"x\.jsonl:1: "):
         palmd.open(tmp_path / "x.jsonl")
@@ -98,39 +98,39 @@ def test_what_is_no_log_is_refused_where_it_is_opened(tmp_path, text):
         palmd.open(str(tmp_path / "none.mcap"))
 
 
-def test_estimate_says_what_the_command_says(simulated, tmp_path):
+def test_estimate_agrees_with_the_command(simulated, tmp_path):
     path, _ = simulated
-    told = palmd.estimate(str(path))
+    estimated = palmd.estimate(str(path))
     assert main(["estimate", str(path), "-o", str(tmp_path / "out.jsonl")]) == 0
     lines = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text().splitlines()]
     ticks = [line for line in lines if "shape" not in line]
-    assert told.estimates.rows == len(ticks)
-    assert told.estimates["valid"].dtype == bool
-    np.testing.assert_allclose(told.estimates["t_s"], [line["t"] for line in ticks], atol=1e-9)
-    valid = np.flatnonzero(told.estimates["valid"])
+    assert estimated.estimates.rows == len(ticks)
+    assert estimated.estimates["valid"].dtype == bool
+    np.testing.assert_allclose(estimated.estimates["t_s"], [line["t"] for line in ticks], atol=1e-9)
+    valid = np.flatnonzero(estimated.estimates["valid"])
     assert len(valid)
     for i in valid[[0, -1]]:
-        assert told.estimates["psi_rad"][i] == ticks[i]["psi_rad"]
-        assert told.estimates["sd.psi_rad"][i] == ticks[i]["sd"]["psi_rad"]
-    assert [outline.h_m.tolist() for outline in told.outlines] == [
+        assert estimated.estimates["psi_rad"][i] == ticks[i]["psi_rad"]
+        assert estimated.estimates["sd.psi_rad"][i] == ticks[i]["sd"]["psi_rad"]
+    assert [outline.h_m.tolist() for outline in estimated.outlines] == [
         line["shape"]["h_m"] for line in lines if "shape" in line
     ]
 
 
 def test_reconstruct_finds_the_outline_and_the_motion(simulated):
     path, truth = simulated
-    told = palmd.reconstruct(palmd.open(path))
-    assert told.converged, told.reason
-    assert told.outline_xy().shape == (361, 2)
-    psi = np.interp(told.trajectory["t_s"], truth["t"], np.unwrap(truth["psi_rad"]))
-    turn = float(np.mean(psi - np.unwrap(told.trajectory["psi_rad"])))
+    reconstructed = palmd.reconstruct(palmd.open(path))
+    assert reconstructed.converged, reconstructed.reason
+    assert reconstructed.outline_xy().shape == (361, 2)
+    psi = np.interp(reconstructed.trajectory["t_s"], truth["t"], np.unwrap(truth["psi_rad"]))
+    turn = float(np.mean(psi - np.unwrap(reconstructed.trajectory["psi_rad"])))
     there = boundary(np.array(truth["h_m"]))
-    apart = np.linalg.norm(told.outline.xy(-turn)[:, None] - there[None], axis=2).min(axis=1)
-    assert np.median(apart[:360][told.outline.touched]) < 5e-4
-    assert abs(told.rho_m - truth["rho_m"]) < 4 * told.rho_sd_m
+    distances = np.linalg.norm(reconstructed.outline.xy(-turn)[:, None] - there[None], axis=2).min(axis=1)
+    assert np.median(distances[:360][reconstructed.outline.touched]) < 5e-4
+    assert abs(reconstructed.rho_m - truth["rho_m"]) < 4 * reconstructed.rho_sd_m
 
 
-def test_a_body_in_space_has_a_surface_and_no_outline(tmp_path, monkeypatch):
+def test_a_three_dimensional_body_has_a_surface_and_no_outline(tmp_path, monkeypatch):
     directions, triangles = icosphere(1)
     n = len(directions)
     one, none = np.eye(3)[None], np.zeros((1, 3))
@@ -143,23 +143,23 @@ def test_a_body_in_space_has_a_surface_and_no_outline(tmp_path, monkeypatch):
     lines = [header(ThreePalmsRig())]
     lines += [{"t": 0.01 * k, "joints": {"angle_rad": [0.9, 0.8, 0.8]}} for k in range(10)]
     (tmp_path / "ball.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    told = palmd.reconstruct(tmp_path / "ball.jsonl")
-    assert told.converged
-    assert told.outline is None
-    np.testing.assert_array_equal(told.surface.points, 0.02 * directions)
-    assert told.trajectory["quat_xyzw"].shape == (1, 4)
+    reconstructed = palmd.reconstruct(tmp_path / "ball.jsonl")
+    assert reconstructed.converged
+    assert reconstructed.outline is None
+    np.testing.assert_array_equal(reconstructed.surface.points, 0.02 * directions)
+    assert reconstructed.trajectory["quat_xyzw"].shape == (1, 4)
     with pytest.raises(palmd.PalmdError, match="no outline: the results of the system three_palms"):
-        told.outline_xy()
+        reconstructed.outline_xy()
 
 
-def test_a_reconstruction_that_finds_nothing_says_so(tmp_path, simulated):
+def test_a_failed_reconstruction_gives_its_reason(tmp_path, simulated):
     head, *lines = simulated[0].read_text().splitlines()
     (tmp_path / "short.jsonl").write_text("\n".join([head, *lines[:50]]) + "\n")
-    told = palmd.reconstruct(tmp_path / "short.jsonl")
-    assert not told.converged
-    assert told.trajectory.rows == 0
+    reconstructed = palmd.reconstruct(tmp_path / "short.jsonl")
+    assert not reconstructed.converged
+    assert reconstructed.trajectory.rows == 0
     with pytest.raises(palmd.PalmdError, match="no outline: no second"):
-        told.outline_xy()
+        reconstructed.outline_xy()
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_a_reconstruction_that_finds_nothing_says_so(tmp_path, simulated):
         ({"shape": "/nowhere.json"}, "/nowhere.json"),
     ],
 )
-def test_estimate_refuses_what_it_cannot_do(simulated, arguments, match):
+def test_estimate_rejects_wrong_arguments(simulated, arguments, match):
     with pytest.raises(palmd.PalmdError, match=match):
         palmd.estimate(simulated[0], **arguments)
 
@@ -192,7 +192,7 @@ def test_a_recorded_run_gives_topics_as_tables(recording):
         run.estimates  # noqa: B018
 
 
-def test_a_recorded_run_gives_its_events_and_lifts(recording):
+def test_a_recorded_run_gives_its_events_and_lift_offs(recording):
     events = palmd.open(recording).events
     fed = [event for number in range(5) for event in recorded.events(number)]
     assert events.pads.rows + events.palms.rows == len(fed)
@@ -202,7 +202,7 @@ def test_a_recorded_run_gives_its_events_and_lifts(recording):
     assert np.isnan(events.palms["alpha1_rad_s2"]).sum() == 4
 
 
-def test_an_outline_is_placed_by_turn_and_centre_of_mass(recording):
+def test_an_outline_is_placed_by_rotation_and_centre_of_mass(recording):
     run = palmd.open(recording)
     assert len(run.outlines) == 3
     np.testing.assert_allclose(np.linalg.norm(run.outline_xy(), axis=1), 0.03)
@@ -214,7 +214,7 @@ def test_an_outline_is_placed_by_turn_and_centre_of_mass(recording):
 # --------------------------------------------------------------------------------------------------------- tables
 
 
-def test_a_table_keeps_what_a_message_lacks_as_no_value():
+def test_a_missing_field_becomes_a_missing_value():
     table = table_of([{"a": 1, "ok": True, "list": [1, 2]}, {"b": "x", "list": [3, 4]}])
     np.testing.assert_array_equal(table["a"], [1.0, np.nan])
     assert table["ok"].tolist() == [True, False]
@@ -224,7 +224,7 @@ def test_a_table_keeps_what_a_message_lacks_as_no_value():
         table["c"]
 
 
-def test_lists_of_unequal_length_and_texts_stay_lists():
+def test_texts_and_lists_of_unequal_length_stay_lists():
     table = table_of([{"faults": [], "x": [1]}, {"faults": ["pad1-silent"], "x": [1, 2]}])
     assert table["faults"].tolist() == [[], ["pad1-silent"]]
     assert table["x"].tolist() == [[1], [1, 2]]
@@ -237,7 +237,7 @@ def test_pandas_gets_the_columns(monkeypatch):
     assert [each.tolist() for each in frame["v"]] == [[1, 2], [3, 4]]
 
 
-def test_without_pandas_it_is_said_what_to_install(monkeypatch):
+def test_without_pandas_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(palmd.PalmdError, match=r"-m pip install .*pandas"):
         table_of([{"a": 1.0}]).to_pandas()
@@ -248,9 +248,9 @@ def test_without_pandas_it_is_said_what_to_install(monkeypatch):
 
 @pytest.fixture
 def daemon():
-    """A daemon's bus that publishes an estimate again and again, and grants whatever is not `arm`.
+    """A daemon's bus that publishes an estimate repeatedly and grants every command except `arm`.
 
-    To a `hold` it answers who has asked.
+    The answer to `hold` is the client's identity.
     """
     bus, over = Bus("tcp://127.0.0.1:*", "tcp://127.0.0.1:*"), threading.Event()
 
@@ -281,20 +281,20 @@ def test_a_client_iterates_estimates_and_gives_commands(daemon):
             live.command("arm")
 
 
-def test_a_client_says_who_it_is_and_the_lease_that_it_declares(daemon):
+def test_a_client_sends_its_name_and_its_lease(daemon):
     with palmd.connect(**daemon, client="bench", lease_s=7.0) as live:
         assert live.command("hold") == {"client": "bench", "lease_s": 7.0}
     with palmd.connect(**daemon) as live:
         assert live.command("hold") == {"client": own_client(), "lease_s": None}
 
 
-def test_a_client_listens_for_as_long_as_it_is_told(daemon):
+def test_a_client_listens_for_the_requested_seconds(daemon):
     with palmd.connect(**daemon) as live:
         assert [message.topic for message in live.messages("palm/est", seconds=0.5)]
         assert not list(live.messages("palm/state", seconds=0.0))
 
 
-def test_silence_is_told(monkeypatch):
+def test_a_daemon_that_does_not_answer_is_an_error(monkeypatch):
     monkeypatch.setattr("palmd.api.live.SILENT_S", 0.1)
     with palmd.connect("tcp://127.0.0.1:9", "tcp://127.0.0.1:9") as live:
         with pytest.raises(palmd.PalmdError, match=r"no message from tcp://127\.0\.0\.1:9: is a palmd running there"):

@@ -1,4 +1,4 @@
-"""The first notebook runs from top to bottom, and what it prints is near the truth."""
+"""The first notebook runs from top to bottom, and the results that it prints are close to the truth."""
 
 import json
 import re
@@ -27,9 +27,9 @@ def test_the_first_notebook_runs(capsys):
     names = {}
     for number, cell in enumerate(cells):
         if cell["cell_type"] == "code":
-            assert not cell["outputs"], "stored without what it prints, which would only go stale"
+            assert not cell["outputs"], "stored with outputs, which go stale"
             exec(compile("".join(cell["source"]), f"{NOTEBOOK.name}[{number}]", "exec"), names)
             plt.close("all")
-    told = capsys.readouterr().out
-    assert float(re.search(r"(\d+)% of all ticks", told)[1]) > 50
-    assert float(re.search(r"it is (\d+) µm off", told)[1]) < 300
+    output = capsys.readouterr().out
+    assert float(re.search(r"(\d+)% of all ticks", output)[1]) > 50
+    assert float(re.search(r"it is (\d+) µm off", output)[1]) < 300

@@ -1,4 +1,4 @@
-"""Moves, explorations and jogs as context managers: what they ask of a daemon, and that what fails inside holds."""
+"""Moves, explorations and jogs as context managers: the commands they send; an exception inside holds the palms."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from palmd.bus.subscriber import Message
 
 
 class Rig:
-    """A daemon that obeys, and whose motion is over after so many messages."""
+    """A daemon that grants every command and whose motion ends after a given number of messages."""
 
     def __init__(self, state="ready", lasts=3, becomes="tracking"):
         self.state, self._left, self._becomes = state, lasts, becomes
@@ -27,8 +27,8 @@ class Rig:
             self._left -= 1
             yield Message("palm/estimate", {"valid": True}, 0.0)
             state = self._becomes if self._left <= 0 else "tracking"
-            told = {"state": state, "coverage": 0.7, "reason": "all touched"} | GROUNDS
-            yield Message("palm/state", told, 0.0)
+            fields = {"state": state, "coverage": 0.7, "reason": "all touched"} | GROUNDS
+            yield Message("palm/state", fields, 0.0)
 
     def ask(self, name, args):
         self.asked.append((name, args))
@@ -46,7 +46,7 @@ GROUNDS = {"faults": ["pad1-silent"], "severities": ["hold"], "hints": ["see to 
 EXPLORE = {"explore": {"coverage": 0.5, "time_limit_s": 9.0}}
 
 
-def test_it_arms_runs_the_plan_to_its_end_and_stops():
+def test_a_move_arms_runs_the_plan_to_its_end_and_stops():
     rig = Rig()
     with RigMotion(rig, "explore", EXPLORE) as motion:
         seen = list(motion)
@@ -65,14 +65,14 @@ def test_leaving_the_block_waits_for_the_end_and_leaves_an_armed_arm_armed():
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_what_goes_wrong_inside_holds_the_palms(error):
+def test_an_exception_inside_the_block_holds_the_palms(error):
     rig = Rig()
     with pytest.raises(error), RigMotion(rig, "explore", EXPLORE):
         raise error
     assert rig.commands == ["arm", "plan", "start", "hold", "stop"]
 
 
-def test_a_motion_that_a_fault_stops_says_why():
+def test_a_motion_stopped_by_a_fault_reports_the_fault():
     rig = Rig(becomes="fault")
     with (
         pytest.raises(PalmdError, match="the state is fault: pad1-silent: see to it"),
@@ -82,14 +82,14 @@ def test_a_motion_that_a_fault_stops_says_why():
     assert rig.commands[-2:] == ["hold", "stop"]
 
 
-def test_a_rig_that_cannot_be_armed_is_left_alone():
+def test_a_rig_that_cannot_be_armed_gets_no_further_command():
     rig = Rig(state="idle")
     with pytest.raises(PalmdError, match="cannot move: the state is idle"), RigMotion(rig, "explore", EXPLORE):
         pass
     assert rig.commands == []
 
 
-def test_a_jog_is_many_small_steps_and_its_refusal_an_error():
+def test_a_jog_is_sent_in_small_steps_and_its_refusal_is_an_error():
     rig = Rig()
     with RigJog(rig) as jog:
         jog.turn(phi1_deg=1.0)

@@ -22,18 +22,18 @@ def installed(tmp_path, monkeypatch):
     return path
 
 
-def test_without_any_configuration_the_usual_ones(installed):
+def test_without_any_configuration_the_default_addresses_are_used(installed):
     assert not installed.exists()
     assert (publish_address(None), command_address(None)) == (PUBLISH, COMMAND)
 
 
 @pytest.mark.parametrize("text", ["", "rig: {}\n", "bus: {command: 3}\n", "- 1\n", "a: [\n"])
-def test_an_installed_configuration_that_says_none_is_no_obstacle(installed, text):
+def test_an_installed_configuration_without_addresses_gives_the_defaults(installed, text):
     installed.write_text(text)
     assert (publish_address(None), command_address(None)) == (PUBLISH, COMMAND)
 
 
-def test_what_is_given_goes_before_the_file_and_the_file_before_the_installed_one(installed, tmp_path):
+def test_an_argument_precedes_the_file_and_the_file_precedes_the_installed_one(installed, tmp_path):
     installed.write_text(LOCAL)
     other = tmp_path / "other.yaml"
     other.write_text('bus: {publish: "tcp://0.0.0.0:1", command: "tcp://127.0.0.1:2"}\n')
@@ -42,12 +42,12 @@ def test_what_is_given_goes_before_the_file_and_the_file_before_the_installed_on
     assert command_address("tcp://127.0.0.1:3", other) == "tcp://127.0.0.1:3"
 
 
-def test_a_file_that_cannot_be_read_is_told(tmp_path):
+def test_an_unreadable_file_is_reported(tmp_path):
     with pytest.raises(CliError, match=r"none\.yaml"):
         command_address(None, tmp_path / "none.yaml")
 
 
-def test_local_sockets_are_for_the_user_alone_or_for_the_group(tmp_path):
+def test_local_sockets_are_open_to_the_user_alone_or_to_the_group(tmp_path):
     one, two = f"ipc://{tmp_path}/p", f"ipc://{tmp_path}/c"
     for group, mode in ((None, 0o600), (grp.getgrgid(os.getgid()).gr_name, 0o660)):
         bus = Bus(one, two, group=group)

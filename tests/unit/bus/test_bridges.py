@@ -1,4 +1,4 @@
-"""The recipes of docs/operate/bridging.md against palmd's messages, with stand-ins for ROS 2 and lerobot."""
+"""The recipes of docs/operate/bridging.md against palmd's messages, with stand-ins for ROS 2 and LeRobot."""
 
 import importlib.util
 import sys
@@ -35,7 +35,7 @@ def loaded(name):
 
 
 class Bus:
-    """A socket that has these maps to give."""
+    """A socket that delivers the given messages."""
 
     def __init__(self, *maps):
         self._frames = [[b"palm/estimate", msgpack.packb(each), b"12.5"] for each in maps]
@@ -52,7 +52,7 @@ class Bus:
 
 
 class Commands:
-    """A command socket that keeps what is asked, and refuses what the daemon has not."""
+    """A command socket that records requests and refuses commands that the daemon does not know."""
 
     def __init__(self):
         self.asked = []
@@ -102,7 +102,7 @@ def robot(monkeypatch):
     return made
 
 
-def test_observations_have_the_features_that_are_declared(robot):
+def test_observations_have_the_declared_features(robot):
     for valid in (False, True):
         robot._bus = Bus(estimate(valid=valid))
         observation = robot.get_observation()
@@ -111,7 +111,7 @@ def test_observations_have_the_features_that_are_declared(robot):
         assert observation["mass_kg"] == (0.25 if valid else 0.0)
 
 
-def test_actions_are_small_jog_steps_that_the_daemon_knows(robot):
+def test_actions_are_small_jog_steps_that_the_daemon_accepts(robot):
     robot._bus = Bus(estimate())
     robot.get_observation()
     robot.send_action({"phi1.pos": 0.25 + 0.001, "phi2.pos": -1.0})

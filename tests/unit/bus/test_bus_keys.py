@@ -1,4 +1,4 @@
-"""A bus with keys: who is listed comes in and may do what his role says; nobody else gets a message or a word in."""
+"""A bus with keys: a listed client may do what its role allows; any other client can neither read nor send."""
 
 import contextlib
 import logging
@@ -29,7 +29,7 @@ ARGS = {"plan": {"path": "x"}, "note": {"text": "x"}, "recorder": {"bytes": 0, "
 
 
 class Rig:
-    """A guarded bus that answers whatever it lets through, and its clients."""
+    """A guarded bus that answers each request that passes, and its clients."""
 
     def __init__(self, folder):
         self.folder, self.own = folder, folder / "keys"
@@ -62,7 +62,7 @@ class Rig:
         return made
 
     def turn(self):
-        """What the loop does with the bus in a tick."""
+        """One tick of the loop's work on the bus."""
         for request in self.bus.receive():
             self.granted.append(request.name)
             self.whos.append(request.who)
@@ -72,7 +72,7 @@ class Rig:
     def until(self, holds):
         t_end = time.monotonic() + GENEROUS_S
         while not holds():
-            assert time.monotonic() < t_end, "it did not come to pass"
+            assert time.monotonic() < t_end, "timed out"
             self.turn()
             time.sleep(1e-3)
 
@@ -93,7 +93,7 @@ def rig(tmp_path):
     rig.close()
 
 
-def test_roles_get_what_the_table_says_and_no_more(rig):
+def test_each_role_is_granted_exactly_the_commands_of_the_table(rig):
     watcher, operator = (rig.client(zmq.DEALER, rig.credentials(name)) for name in ("desk", "ann"))
     for command in COMMANDS:
         reply = rig.ask(watcher, command, id=command)
@@ -108,7 +108,7 @@ def test_roles_get_what_the_table_says_and_no_more(rig):
     assert rig.granted[1:] == list(COMMANDS)
 
 
-def test_who_asks_is_the_keys_name_whatever_the_program_says(rig):
+def test_a_client_is_identified_by_its_key_not_by_the_name_it_sends(rig):
     operator = rig.client(zmq.DEALER, rig.credentials("ann"))
     operator.send(msgpack.packb({"id": 1, "cmd": "arm", "from": "bob"}))
     operator.send(msgpack.packb({"id": 2, "cmd": "arm"}))
@@ -116,7 +116,7 @@ def test_who_asks_is_the_keys_name_whatever_the_program_says(rig):
     assert rig.whos == ["ann, by bob", "ann"]
 
 
-def test_both_roles_and_the_daemons_own_recorder_hear_what_is_published(rig):
+def test_both_roles_and_the_daemons_own_recorder_receive_published_messages(rig):
     listening = [
         rig.client(zmq.SUB, credentials)
         for credentials in (rig.credentials("ann"), rig.credentials("desk"), keys.own_credentials(rig.own))
@@ -126,7 +126,7 @@ def test_both_roles_and_the_daemons_own_recorder_hear_what_is_published(rig):
     assert rig.ask(rig.client(zmq.DEALER, keys.own_credentials(rig.own)), "recorder")["ok"]
 
 
-def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
+def test_a_page_subscribes_to_a_daemon_with_keys_and_to_a_rig_without(rig):
     truth = rig.context.socket(zmq.PUB)
     rig.clients.append(truth)
     truth.bind("tcp://127.0.0.1:*")
@@ -144,7 +144,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
         rig.until(lambda: rig.granted == ["hold"])
 
 
-def test_a_subscriber_of_ones_own_as_the_manual_has_it(rig):
+def test_the_subscriber_of_the_manual_works_with_keys(rig):
     page = (Path(__file__).parents[3] / "docs/operate/subscribing.md").read_text()
     (code,) = re.findall(r"```python\n(from zmq.auth.*?)```", page, flags=re.DOTALL)
     made = rig.context.socket(zmq.SUB)
@@ -157,7 +157,7 @@ def test_a_subscriber_of_ones_own_as_the_manual_has_it(rig):
 
 
 def strangers(rig):
-    """Credentials of those who must not come in, by what is wrong with them."""
+    """Credentials that must be rejected, by what is wrong with them."""
     right, other = rig.credentials("stranger"), rig.credentials("ann")
     fresh = keys.KeyPair(*zmq.curve_keypair())
     return {
@@ -173,7 +173,7 @@ def strangers(rig):
     }
 
 
-def test_no_stranger_gets_a_message_or_a_word_in(rig):
+def test_a_client_with_wrong_credentials_neither_reads_nor_sends(rig):
     knocking = {}
     for what, credentials in strangers(rig).items():
         knocking[what] = [rig.client(kind, credentials) for kind in (zmq.SUB, zmq.DEALER, zmq.REQ)]
@@ -189,7 +189,7 @@ def test_no_stranger_gets_a_message_or_a_word_in(rig):
     assert rig.bus.counters.commands == 1
 
 
-def test_a_client_that_was_turned_away_says_so_each_time_it_asks(rig):
+def test_a_rejected_client_gets_the_reason_with_each_request(rig):
     with CommandClient(rig.command, 0.3, rig.credentials("stranger")) as client:
         rig.until(lambda: rig.bus.fields()["bus_turned_away"])
         for _ in range(2):
@@ -197,7 +197,7 @@ def test_a_client_that_was_turned_away_says_so_each_time_it_asks(rig):
                 client.ask("status")
 
 
-def test_a_plain_client_of_old_protocols_is_cut_off(rig):
+def test_a_client_of_an_old_protocol_is_disconnected(rig):
     old = {
         "ZMTP 1.0": b"\x01\x00",
         "ZMTP 2.0": b"\xff" + bytes(8) + b"\x7f\x01\x05\x00\x00",
@@ -215,7 +215,7 @@ def test_a_plain_client_of_old_protocols_is_cut_off(rig):
     assert rig.bus.counters.commands == 0
 
 
-def test_recorded_traffic_of_an_operator_is_worthless(rig):
+def test_recorded_traffic_of_an_operator_cannot_be_replayed(rig):
     with Wiretap(rig.command) as tap:
         assert rig.ask(rig.client(zmq.DEALER, rig.credentials("ann"), tap.address), "arm")["ok"]
     assert len(tap.sent) > 500
@@ -226,7 +226,7 @@ def test_recorded_traffic_of_an_operator_is_worthless(rig):
     assert (len(rig.granted), rig.bus.counters.commands) == (granted, commands)
 
 
-def test_commands_cannot_be_read_or_changed_on_the_way(rig):
+def test_commands_cannot_be_read_or_changed_in_transit(rig):
     with Wiretap(rig.command, garble=True) as tap:
         client = rig.client(zmq.DEALER, rig.credentials("ann"), tap.address)
         client.send(msgpack.packb({"id": 1, "cmd": "arm"}))
@@ -235,7 +235,7 @@ def test_commands_cannot_be_read_or_changed_on_the_way(rig):
     assert rig.granted == ["hold"]
 
 
-def test_who_is_revoked_stays_out_after_the_next_start(rig):
+def test_a_revoked_key_is_rejected_after_a_restart(rig):
     keys.revoke(rig.own, "ann")
     rig.bus.close()
     rig.bus = Bus(rig.publish, rig.command, keys.server_keys(rig.own))
@@ -246,7 +246,7 @@ def test_who_is_revoked_stays_out_after_the_next_start(rig):
     assert rig.granted == ["status"]
 
 
-def test_strangers_are_logged_once_in_a_while(rig, caplog):
+def test_rejected_clients_are_logged_at_a_limited_rate(rig, caplog):
     caplog.set_level(logging.WARNING)
     clients = [rig.client(zmq.DEALER, rig.credentials("stranger")) for _ in range(5)]
     rig.until(lambda: rig.bus.fields()["bus_turned_away"] >= len(clients))
@@ -256,7 +256,7 @@ def test_strangers_are_logged_once_in_a_while(rig, caplog):
 
 
 @pytest.mark.parametrize("what", ["no key", "another server's key"])
-def test_who_proves_no_key_is_counted_and_logged(rig, caplog, what):
+def test_a_client_that_proves_no_key_is_counted_and_logged(rig, caplog, what):
     caplog.set_level(logging.WARNING)
     right = rig.credentials("ann")
     wrong = {
@@ -274,7 +274,7 @@ def test_who_proves_no_key_is_counted_and_logged(rig, caplog, what):
     assert (rig.bus.fields()["bus_turned_away"], rig.granted) == (0, ["hold"])
 
 
-def test_without_its_doorkeeper_the_bus_lets_nobody_in(rig):
+def test_without_its_authenticator_the_bus_rejects_every_client(rig):
     rig.bus._authenticator.close()
     client = rig.client(zmq.SUB, rig.credentials("ann"))
     with client.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL) as monitor:
@@ -283,7 +283,7 @@ def test_without_its_doorkeeper_the_bus_lets_nobody_in(rig):
         client.disable_monitor()
 
 
-def test_it_ends_with_strangers_at_the_door(rig, monkeypatch):
+def test_the_bus_closes_while_rejected_clients_are_connected(rig, monkeypatch):
     monkeypatch.setattr(zap_auth, "PAUSE_S", 0.05)
     for _ in range(20):
         rig.client(zmq.DEALER, rig.credentials("stranger"))
@@ -303,7 +303,7 @@ def dialled(address):
 
 
 def spoken_to_the_end(rig, line, data):
-    """Everything that is said to `data` until the other end hangs up."""
+    """All bytes that are sent in answer to `data` until the connection closes."""
     said, over = bytearray(), threading.Event()
 
     def listen():
@@ -320,7 +320,7 @@ def spoken_to_the_end(rig, line, data):
 
 
 class Wiretap:
-    """A line in between that writes down what the client sends; with `garble` one bit of each message is turned."""
+    """A proxy that records what the client sends; with `garble` it flips one bit of each message."""
 
     def __init__(self, address, garble=False):
         self.sent, self.garbled = bytearray(), 0

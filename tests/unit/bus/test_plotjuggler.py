@@ -1,4 +1,4 @@
-"""What palmd sends is what PlotJuggler reads, and the layout for it names only what is sent."""
+"""PlotJuggler can read what palmd sends, and palmd's layout for it names only published series."""
 
 import contextlib
 import time
@@ -25,7 +25,7 @@ STAMP = ("v", "timestamp", "mono_ns", "seq")
 
 
 def sent():
-    """What the daemon sends: (topic, fields without stamp) of every topic."""
+    """(topic, fields without timestamp) of every topic that the daemon sends."""
     recognised = ObjectEstimate(1.0, ("cup", "lid"), np.array([0.2, 0.7]), 0.1, 1)
     topics = {topic.name: topic for topic in TOPICS}
     for name, fields in rig_recording.published():
@@ -39,7 +39,7 @@ def sent():
 
 @pytest.fixture(scope="module")
 def wire(tmp_path_factory):
-    """The frames of all of it, as a subscriber gets them from the daemon's own bus."""
+    """The frames of all topics as the daemon's bus sends them to a subscriber."""
     folder = tmp_path_factory.mktemp("bus")
     publish, command = (f"ipc://{folder}/{name}" for name in ("publish", "command"))
     messages = list(sent())
@@ -58,7 +58,7 @@ def wire(tmp_path_factory):
     return found
 
 
-def test_every_topic_of_two_palms_is_on_the_wire(wire):
+def test_every_topic_of_two_palms_is_sent(wire):
     others = (*PIVOT_TOPICS.published, *PALM3_TOPICS.published)
     assert {frames[0].decode() for frames in wire} == {topic.name for topic in TOPICS if topic not in others}
 
@@ -67,7 +67,7 @@ def test_plotjuggler_can_read_every_message(wire):
     assert [(frames[0], plotjuggler.problems(frames)) for frames in wire if plotjuggler.problems(frames)] == []
 
 
-def test_the_layout_names_series_that_are_sent():
+def test_the_layout_names_only_published_series():
     root = ElementTree.parse(LAYOUT).getroot()
     curves = [curve.get("name") for curve in root.iter("curve")]
     known = {name for topic, fields in sent() for name in plotjuggler.series(topic.name, fields)}

@@ -1,4 +1,4 @@
-"""The example of a subscriber in docs/, run as a program of its own."""
+"""The example subscriber in docs/, run as a program of its own."""
 
 import re
 import subprocess
@@ -15,7 +15,7 @@ PROGRAM = Path(__file__).parents[3] / "docs/operate/subscriber.py"
 LINE = re.compile(r"r1 ([\d.]+) ± [\d.]+ mm, r2 ([\d.]+) ± [\d.]+ mm, psi (-?[\d.]+) ± [\d.]+°, touched (\d+)%")
 
 
-def test_it_prints_what_is_published(tmp_path):
+def test_the_example_prints_published_messages(tmp_path):
     address = f"ipc://{tmp_path}/publish"
     estimates = [fields for topic, fields in rig_recording.published() if topic == "palm/estimate"]
     unknown, known = estimates[0], [fields for fields in estimates if fields["valid"]][-1]
@@ -27,7 +27,7 @@ def test_it_prints_what_is_published(tmp_path):
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, encoding="utf-8") as process:
             watchdog = threading.Timer(60.0, process.kill)
             watchdog.start()
-            assert socket.recv() == b"\x01palm/estimate"  # it listens, and to nothing else
+            assert socket.recv() == b"\x01palm/estimate"  # its only subscription
             for fields in (unknown | {"seq": 0}, known | {"seq": 99}, known | {"seq": 100}):
                 socket.send_multipart(frames(rig_recording.raw("palm/estimate", fields)))
             lines = [process.stdout.readline() for _ in range(2)]

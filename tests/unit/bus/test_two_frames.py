@@ -1,4 +1,4 @@
-"""Messages without their third frame, for readers that mistake it: sent, and read by palmd's own programs."""
+"""Messages without their third frame, for readers that cannot handle it: sent, and read by palmd's own programs."""
 
 import contextlib
 import time
@@ -14,7 +14,7 @@ from palmd.daemon.bus import Bus
 from palmd.quantities import STATE
 
 
-def test_the_configuration_has_three_frames_unless_it_says_two():
+def test_messages_have_three_frames_unless_the_configuration_says_two():
     base = {"pads": {"palm1": {"port": "a"}, "palm2": {"port": "b"}}, "arm": {"port": "c"}}
     assert Config.model_validate(base).bus.frames == 3
     assert Config.model_validate(base | {"bus": {"frames": 2}}).bus.frames == 2
@@ -23,7 +23,7 @@ def test_the_configuration_has_three_frames_unless_it_says_two():
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_so_many_frames_are_sent_and_palmds_own_subscriber_reads_them(tmp_path, count):
+def test_the_configured_number_of_frames_is_sent_and_palmds_subscriber_reads_both(tmp_path, count):
     publish, command = (f"ipc://{tmp_path}/{name}" for name in ("publish", "command"))
     with (
         contextlib.closing(Bus(publish, command, frames=count)) as bus,
@@ -38,8 +38,8 @@ def test_so_many_frames_are_sent_and_palmds_own_subscriber_reads_them(tmp_path, 
         wait(lambda: bus.publish(STATE, dict(fields), 0.0, time.time()) or plain.poll(20), "the subscription", 0.0)
         frames = plain.recv_multipart()
         assert len(frames) == count
-        told = msgpack.unpackb(frames[1])
-        assert told["timestamp"] == pytest.approx(time.time(), abs=60.0), "in the map in any case"
+        received = msgpack.unpackb(frames[1])
+        assert received["timestamp"] == pytest.approx(time.time(), abs=60.0), "in the map in any case"
         messages = []
 
         def heard():

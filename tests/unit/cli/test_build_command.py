@@ -1,4 +1,4 @@
-"""`palmd doctor build CONFIG`: what a configuration needs, and no more."""
+"""`palmd doctor build CONFIG`: it compiles what a configuration needs, and no more."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _names(config: Path) -> list[str]:
     return [what for what, _ in build.needed_by(load_config(config))]
 
 
-def test_a_cradle_needs_all_of_its_own_kernels_and_flat_palms_none_of_them() -> None:
+def test_a_cradle_needs_its_own_kernels_and_flat_palms_need_none_of_them() -> None:
     cradle, flat = _names(shipped("cradle.yaml")), _names(shipped("palmd.yaml"))
     assert flat == [
         "shape observer", "shape observer with a smoother's harmonics", "observability", "smoother", "explorer",
@@ -38,13 +38,15 @@ def test_another_observer_needs_neither_smoother_nor_explorer(tmp_path: Path) ->
     assert _names(config) == ["extended observer"]
 
 
-def test_it_makes_just_these_and_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_compiles_exactly_these_and_reports_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(build, "needed_by", lambda _: [("curved palms, smoother", lambda: "c")])
     assert main(["doctor", "build", str(shipped("cradle.yaml"))]) == 0
     assert re.fullmatch(r"curved palms, smoother: compiled C, \d+\.\d s\n", capsys.readouterr().out)
 
 
-def test_a_demo_has_everything_made_before_it_starts_and_is_silent_when_that_is_quick(
+def test_a_demo_compiles_everything_before_it_starts_and_prints_nothing_if_that_is_quick(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def make(name: str) -> str:
@@ -53,17 +55,17 @@ def test_a_demo_has_everything_made_before_it_starts_and_is_silent_when_that_is_
 
     parts = [("one", lambda: make("one")), ("two", lambda: make("two"))]
     monkeypatch.setattr(build, "needed_by", lambda _: parts)
-    told: list[str] = []
-    build.prepare_kernels(load_config(shipped("cradle.yaml")), told.append)
+    notices: list[str] = []
+    build.prepare_kernels(load_config(shipped("cradle.yaml")), notices.append)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["one", "two"]
-    assert not told
+    assert not notices
 
 
-def test_one_that_lasts_is_told_of_once_and_keeps_no_other_waiting(
+def test_a_slow_compilation_is_reported_once_and_does_not_block_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def after_all_others() -> str:
-        while {"told", "short", "shorter"} - {each.name for each in tmp_path.iterdir()}:
+        while {"notices", "short", "shorter"} - {each.name for each in tmp_path.iterdir()}:
             time.sleep(0.01)
         return "c"
 
@@ -73,18 +75,18 @@ def test_one_that_lasts_is_told_of_once_and_keeps_no_other_waiting(
 
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(build, "_PATIENCE_S", 0.01)
-    told: list[str] = []
+    notices: list[str] = []
 
     def lasts() -> None:
-        told.append("patience")
-        (tmp_path / "told").touch()
+        notices.append("patience")
+        (tmp_path / "notices").touch()
 
     parts = [("long", after_all_others), ("short", lambda: short("short")), ("shorter", lambda: short("shorter"))]
     assert {what for what, *_ in build.compile_parallel(parts, lasts)} == {"long", "short", "shorter"}
-    assert told == ["patience"]
+    assert notices == ["patience"]
 
 
-def test_what_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compilation_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def differs() -> str:
         raise RuntimeError("compiled f differs")
 
@@ -94,7 +96,7 @@ def test_what_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         list(build.compile_parallel([("f", lambda: str(os.kill(os.getpid(), signal.SIGKILL)))]))
 
 
-def test_what_keeps_all_parts_from_being_compiled_is_said_once(
+def test_a_cause_that_stops_every_compilation_is_logged_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv(compiler.FAULT, "of another")
@@ -109,4 +111,4 @@ def test_what_keeps_all_parts_from_being_compiled_is_said_once(
     made = list(build.compile_parallel([part(name) for name in "abc"]))
     assert sorted((what, backend) for what, backend, _ in made) == [(name, "python") for name in "abc"]
     assert caplog.text.count("/nowhere/cc: No such file or directory") == 1
-    assert compiler.known_fault(tmp_path), "so that no process that is started later says it again"
+    assert compiler.known_fault(tmp_path), "so that processes started later do not log it again"

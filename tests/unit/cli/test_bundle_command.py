@@ -1,4 +1,4 @@
-"""`palmd record bundle`: what is in the zip, and what is not."""
+"""`palmd record bundle`: what the zip contains, and what it leaves out."""
 
 import zipfile
 

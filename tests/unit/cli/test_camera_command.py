@@ -32,7 +32,7 @@ def files(folder, *names):
     return [str(folder / name) for name in names]
 
 
-def test_everything_is_told_and_written(folder, tmp_path, capsys):
+def test_results_are_printed_and_written(folder, tmp_path, capsys):
     report, figure = tmp_path / "report.json", tmp_path / "camera.svg"
     result, track, log, truth = files(folder, "result.json", "track.csv", "run.jsonl", "truth.json")
     more = ["--log", log, "--outline", truth, "-o", str(report), "--figure", str(figure)]
@@ -63,20 +63,23 @@ def test_without_a_log_only_orientation_is_compared(folder, capsys):
     line = json.loads(out)
     assert (line["frame"], line["mark"], line["outline"]) == (None, None, None)
     assert abs(line["clock"]["offset_s"] - CAMERA.offset_s) < 1e-2
-    assert [told.split(":")[0] for told in err.splitlines()] == ["clock", "orientation"]
+    assert [note.split(":")[0] for note in err.splitlines()] == ["clock", "orientation"]
 
 
-def test_bad_input_is_one_clear_line_and_loses_nothing(folder, tmp_path, capsys):
+def test_bad_input_is_a_one_line_error_and_no_file_is_lost(folder, tmp_path, capsys):
     result, track, log = files(folder, "result.json", "track.csv", "run.jsonl")
-    told = json.loads((folder / "result.json").read_text())
+    reconstruction = json.loads((folder / "result.json").read_text())
     bare = {"trajectory": None, "reason": "too little", "converged": False}
     made = {
-        "none.json": json.dumps(told | bare),
+        "none.json": json.dumps(reconstruction | bare),
         "list.json": "[]",
         "cut.json": '{"trajectory":',
-        "ragged.json": json.dumps(told | {"h_m": told["h_m"][:-1]}),
-        "null.json": json.dumps(told | {"h_m": [None, *told["h_m"][1:]]}),
-        "back.json": json.dumps(told | {"trajectory": told["trajectory"] | {"t": told["trajectory"]["t"][::-1]}}),
+        "ragged.json": json.dumps(reconstruction | {"h_m": reconstruction["h_m"][:-1]}),
+        "null.json": json.dumps(reconstruction | {"h_m": [None, *reconstruction["h_m"][1:]]}),
+        "back.json": json.dumps(
+            reconstruction
+            | {"trajectory": reconstruction["trajectory"] | {"t": reconstruction["trajectory"]["t"][::-1]}}
+        ),
         "still.jsonl": "\n".join(
             line for line in (folder / "run.jsonl").read_text().splitlines() if "phi1" not in line
         ),

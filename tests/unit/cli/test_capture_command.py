@@ -20,13 +20,13 @@ TABLETOP, EXPLORE, LIVELY = (
 STONE = Measured("stone", "runs/1-stone.mcap", "stone.jpg", 44.0, 36.0, 0.05)
 
 
-def test_a_plan_without_an_end_is_refused_before_anything_happens(tmp_path, capsys):
+def test_a_plan_without_an_end_is_refused_before_the_capture(tmp_path, capsys):
     assert main(["capture", str(TABLETOP), "--plan", str(LIVELY), "-o", str(tmp_path / "new")]) == 1
     assert "repeats forever" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 
-def test_it_writes_into_nothing_that_is_there(tmp_path, capsys):
+def test_existing_files_are_not_overwritten(tmp_path, capsys):
     (tmp_path / "mine").write_text("mine")
     assert main(["capture", str(TABLETOP), "-o", str(tmp_path)]) == 1
     assert "is not empty" in capsys.readouterr().err
@@ -67,7 +67,7 @@ def failing(times):
     return step
 
 
-def test_a_failed_step_says_what_to_do_and_is_tried_again(monkeypatch, tmp_path, capsys):
+def test_a_failed_step_says_what_to_do_and_is_repeated(monkeypatch, tmp_path, capsys):
     assert guide(monkeypatch, tmp_path, "", "yes")._retry(failing(2), "wipe the pads") == "done"
     said = capsys.readouterr().err
     assert said.count("Failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
@@ -75,7 +75,7 @@ def test_a_failed_step_says_what_to_do_and_is_tried_again(monkeypatch, tmp_path,
         guide(monkeypatch, tmp_path / "other", "no")._retry(failing(1), "wipe the pads")
 
 
-def test_calipers_are_asked_for_and_a_slip_is_asked_again(monkeypatch, tmp_path, capsys):
+def test_calipers_are_asked_for_and_an_implausible_answer_is_asked_again(monkeypatch, tmp_path, capsys):
     answers = ("44", "54", "36.5", "unknown", "")
     row = guide(monkeypatch, tmp_path, *answers)._measured("stone", "runs/1-stone.mcap")
     assert (row.largest_mm, row.smallest_mm, row.photo) == (44.0, 36.5, "stone.jpg")

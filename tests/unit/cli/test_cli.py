@@ -1,4 +1,4 @@
-"""The command line as a whole: its table, exit statuses, how quick it is, log lines, the progress bar."""
+"""The command line as a whole: its table, exit statuses, start-up time, log lines, the progress bar."""
 
 import importlib
 import importlib.metadata
@@ -30,14 +30,14 @@ def test_version_and_help(capsys):
     assert usage("--version") == 0
     assert capsys.readouterr().out == f"palmd {palmd.__version__}\n"
     assert usage("--help") == 0
-    told = capsys.readouterr().out
-    assert all(f"  {name} " in told for name in subcommands())
+    output = capsys.readouterr().out
+    assert all(f"  {name} " in output for name in subcommands())
 
 
-def test_without_a_command_there_is_help(capsys):
+def test_without_a_command_help_is_printed(capsys):
     assert usage() == 2
-    told = capsys.readouterr().err
-    assert all(f"  {name} " in told for name in subcommands())
+    output = capsys.readouterr().err
+    assert all(f"  {name} " in output for name in subcommands())
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp437"])
@@ -95,7 +95,7 @@ def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
         (("report", "paper", "-o", "x"), "docs/theory/paper.md"),
     ],
 )
-def test_a_command_that_is_a_study_now_names_where_it_is(argv, place, capsys):
+def test_a_command_that_became_a_study_names_the_study(argv, place, capsys):
     assert cli.main(argv) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -117,7 +117,7 @@ def test_few_commands_are_listed():
 
 
 @pytest.mark.parametrize("argv", [["--help"], ["ctl", "status", "--help"]])
-def test_quick_commands_leave_the_heavy_libraries_alone(argv):
+def test_quick_commands_do_not_load_heavy_libraries(argv):
     program = (
         "import sys; from palmd.cli import main\n"
         f"try: main({argv!r})\n"
@@ -143,7 +143,7 @@ class Ending:
 
 
 @pytest.mark.parametrize(
-    ("end", "status", "told"),
+    ("end", "status", "error"),
     [
         (0, 0, ""),
         (3, 3, ""),
@@ -152,13 +152,13 @@ class Ending:
         (KeyboardInterrupt(), 130, ""),
     ],
 )
-def test_ends(end, status, told, monkeypatch, capsys):
+def test_the_exit_status_is_that_of_the_command(end, status, error, monkeypatch, capsys):
     monkeypatch.setattr(importlib, "import_module", lambda _: Ending(end))
     assert cli.main(["check"]) == status
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == error
 
 
-def test_check_tells_all_errors_at_once(tmp_path, capsys):
+def test_check_reports_all_errors_at_once(tmp_path, capsys):
     good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
     good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
     bad.write_text("name: x\nnmae: y\nsegments: [{hold_s: -1.0}]\n")
@@ -170,31 +170,31 @@ def test_check_tells_all_errors_at_once(tmp_path, capsys):
     assert sum(line.startswith(f"{bad}:") for line in err) == 2
 
 
-def test_check_tells_programs_in_json(tmp_path, capsys):
+def test_check_reports_errors_as_json(tmp_path, capsys):
     good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
     good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
     bad.write_text("name: x\nsegments: [{hold_s: -1.0}]\n")
     assert cli.main(["check", str(good), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"good": True, "problems": [], "notes": []}
     assert cli.main(["check", str(bad), "--json"]) == 1
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     text = "segments.0.hold_s: must be more than 0; got -1.0"
-    assert json.loads(told.out)["problems"] == [{"file": str(bad), "line": 2, "column": 21, "text": text}]
-    assert told.err == ""
+    assert json.loads(captured.out)["problems"] == [{"file": str(bad), "line": 2, "column": 21, "text": text}]
+    assert captured.err == ""
     (tmp_path / "o.json").write_text("{}")
     assert cli.main(["check", str(tmp_path / "o.json"), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["problems"][0]["file"] == str(tmp_path / "o.json")
 
 
-def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
+def test_check_draws_a_plan(tmp_path, capsys, monkeypatch):
     plan, picture = tmp_path / "plan.yaml", tmp_path / "out.svg"
     plan.write_text(
         "name: fast\nrepeat: 2\nsegments:\n  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}\n"
         "  - {move: {phi1_deg: 70}, duration_s: 0.5}\n"
     )
     assert cli.main(["check", str(plan), "--draw", str(picture)]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert told == [
+    rows = capsys.readouterr().out.splitlines()
+    assert rows == [
         f"{plan}: good",
         f"{picture}: 3 s; nearest to its limit: phi12 = phi1 + phi2 135 to 160 of 0 to 172°",
     ]
@@ -222,7 +222,7 @@ def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
 # ------------------------------------------------------------------------------------------------ log lines
 
 
-def test_lines_for_the_journal_carry_their_priority():
+def test_log_lines_for_the_journal_carry_their_priority():
     formatter = JournalFormatter()
     levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (logging.DEBUG, 7))
     for level, priority in levels:
@@ -230,7 +230,7 @@ def test_lines_for_the_journal_carry_their_priority():
         assert formatter.format(record) == f"<{priority}>one\n<{priority}>two"
 
 
-def test_the_journal_is_known_by_its_stream(tmp_path):
+def test_the_journal_is_recognised_by_its_stream(tmp_path):
     with (tmp_path / "stream").open("w") as stream:
         status = os.fstat(stream.fileno())
         environment = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
@@ -262,7 +262,7 @@ def test_the_bar_shows_on_a_terminal_after_a_second(monkeypatch):
     assert shown[-1] == "\x1b[K"
 
 
-def test_the_bar_stays_away_otherwise(monkeypatch):
+def test_the_bar_is_not_shown_otherwise(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("palmd.console.progress.time.monotonic", lambda: now[0])
     for stream, after in ((Terminal(), 0.5), (io.StringIO(), 5.0)):
@@ -285,7 +285,7 @@ def test_the_bar_on_a_terminal_of_another_encoding(monkeypatch, encoding, cells)
     assert cells in terminal.buffer.getvalue().decode(encoding)
 
 
-def test_what_has_no_measure_is_named_while_it_lasts():
+def test_work_of_unknown_length_is_named_while_it_lasts():
     terminal = Terminal()
     with working("reading run.mcap", terminal) as say:
         assert terminal.getvalue() == "\rreading run.mcap ..."
@@ -300,7 +300,7 @@ def test_what_has_no_measure_is_named_while_it_lasts():
 # ---------------------------------------------------------------------------------------- optional packages
 
 
-def test_a_missing_package_is_told_with_the_exact_line_to_type(monkeypatch, tmp_path):
+def test_a_missing_package_is_reported_with_the_command_that_installs_it(monkeypatch, tmp_path):
     def declared(_name):
         return ["numpy>=1.26", "matplotlib>=3.8; extra == 'report'", 'matplotlib>=3.8; extra == "studies"',
                 "filterpy>=2.0; extra == 'studies'"]  # fmt: skip

@@ -32,7 +32,7 @@ def folder(tmp_path_factory) -> Path:
     return path
 
 
-def test_a_result_is_compared_with_tracks_of_two_formats(folder, tmp_path, capsys) -> None:
+def test_a_result_is_compared_with_tracks_in_two_formats(folder, tmp_path, capsys) -> None:
     figure, output = tmp_path / "errors.svg", tmp_path / "errors.json"
     result, csv, tum = (str(folder / name) for name in ("result.json", "track.csv", "track.tum"))
     assert main(["compare", csv, tum, "--reference", result, "-o", str(output), "--figure", str(figure)]) == 0
@@ -46,7 +46,7 @@ def test_a_result_is_compared_with_tracks_of_two_formats(folder, tmp_path, capsy
     assert figure.read_text().startswith("<?xml")
 
 
-def test_two_tracks_are_compared_in_their_places_too(folder, capsys) -> None:
+def test_two_tracks_are_also_compared_by_position(folder, capsys) -> None:
     csv, tum = (str(folder / name) for name in ("track.csv", "track.tum"))
     assert main(["compare", csv, tum, "-o", "-"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
@@ -54,7 +54,7 @@ def test_two_tracks_are_compared_in_their_places_too(folder, capsys) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    ("name", "text", "error"),
     [
         ("a.tum", "0 0 0 0 0 0 0 one\n", "a.tum:1: a column is not a number"),
         ("a.tum", "0 0 0 0 0 0 0 0\n", "a.tum:1: a column is not finite, or the quaternion is zero"),
@@ -63,14 +63,14 @@ def test_two_tracks_are_compared_in_their_places_too(folder, capsys) -> None:
         ("a.json", "{", "a.json:1:2: not JSON: Expecting property name enclosed in double quotes"),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(name, text, told, tmp_path, monkeypatch, capsys) -> None:
+def test_input_that_cannot_be_compared_is_a_one_line_error(name, text, error, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(text)
     assert main(["compare", name, name]) == 1
-    assert capsys.readouterr().err == f"{told}\n"
+    assert capsys.readouterr().err == f"{error}\n"
 
 
-def test_one_file_without_truth_needs_another(folder, monkeypatch, capsys) -> None:
+def test_a_single_file_without_truth_is_an_error(folder, monkeypatch, capsys) -> None:
     monkeypatch.chdir(folder)
     assert main(["compare", "track.tum"]) == 1
     assert "name a second run or --reference" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from palmd.console.shipped import shipped
 
 
 def completed(*words: str) -> list[str]:
-    """What bash offers for the last word."""
+    """Bash's completions of the last word."""
     program = (
         f"source {shipped('shell/palmd.bash')}\n"
         f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
@@ -39,24 +39,24 @@ def test_bash_completes_commands_options_and_choices() -> None:
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh")
-def test_zsh_takes_the_script_as_its_help_tells() -> None:
-    told = re.search(r'`eval "\$\((palmd install completion zsh)\)"`', inspect.getdoc(completion) or "")
-    assert told
+def test_the_zsh_command_from_the_help_works() -> None:
+    quoted = re.search(r'`eval "\$\((palmd install completion zsh)\)"`', inspect.getdoc(completion) or "")
+    assert quoted
     program = (
         "autoload -U compinit; compinit -u -D\n"
         f'palmd() {{ {sys.executable} -m palmd "$@" }}\n'
-        f'eval "$({told.group(1)})"\n'
+        f'eval "$({quoted.group(1)})"\n'
         "print -r -- ${_comps[palmd]} $+functions[_shtab_palmd]"
     )
     done = subprocess.run(["zsh", "-f", "-c", program], capture_output=True, text=True, check=False)
     assert (done.stdout.split(), done.stderr) == (["_shtab_palmd", "1"], "")
 
 
-def test_the_manual_page_tells_of_every_command(capsys) -> None:
+def test_the_manual_page_lists_every_command(capsys) -> None:
     assert main(["install", "completion", "man"]) == 0
     page = Path(capsys.readouterr().out.strip()).read_text()
-    told = set(re.findall(r"^\.SS palmd (.*)$", page, re.MULTILINE))
-    assert told == {each.name for each in COMMANDS if each.module} - {"report paper"}
+    listed = set(re.findall(r"^\.SS palmd (.*)$", page, re.MULTILINE))
+    assert listed == {each.name for each in COMMANDS if each.module} - {"report paper"}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])

@@ -1,4 +1,4 @@
-"""`palmd ctl` against the daemon's own command socket: what is asked, what is told, what happens without answer."""
+"""`palmd ctl` against the daemon's own command socket: requests, replies, and a missing reply."""
 
 import json
 import math
@@ -30,7 +30,7 @@ STATUS = {
 
 @contextmanager
 def daemon(folder, answer):
-    """A daemon's bus at the address given, that replies with `answer(request)`; collects the requests."""
+    """A daemon's bus at the given address that replies with `answer(request)`; collects the requests."""
     requests = []
 
     def answered(request):
@@ -61,7 +61,7 @@ def test_commands(tmp_path, capsys, name):
     assert capsys.readouterr().out == "state tracking\n"
 
 
-def test_status_reads_well(tmp_path, capsys):
+def test_status_is_formatted_for_reading(tmp_path, capsys):
     with daemon(tmp_path, granted) as (address, _):
         assert main(["ctl", "status", "--address", address]) == 0
     assert capsys.readouterr().out.splitlines() == [
@@ -72,7 +72,7 @@ def test_status_reads_well(tmp_path, capsys):
     ]
 
 
-def test_status_tells_angles_and_estimate():
+def test_status_shows_angles_and_estimate():
     seen = {"valid": True, "observer": "shape", "object": 2, "touched": 0.34, "nis": 0.98, "observability": None}
     seen |= {"r1_m": 0.02103, "mu": None, "sd": {"r1_m": 1.2e-5}}
     lines = as_text("status", STATUS | {"phi1_rad": 0.5, "phi2_rad": 1.5, "estimate": seen}).splitlines()
@@ -83,7 +83,7 @@ def test_status_tells_angles_and_estimate():
     ]
 
 
-def test_status_of_a_rig_that_is_not_there():
+def test_status_without_a_rig():
     nothing = {"plan": "", "segment": -1, "arm_state": "", "arm_error": "−600 link lost", "arm_linked": False}
     assert as_text("status", STATUS | nothing | {"state": "idle", "cause": ""}).splitlines()[:4] == [
         "state   idle",
@@ -93,7 +93,7 @@ def test_status_of_a_rig_that_is_not_there():
     ]
 
 
-def test_status_of_a_pivoting_gripper_is_told_with_and_without_its_arm():
+def test_status_of_a_pivoting_gripper_is_shown_with_and_without_its_arm():
     known = {"valid": False, "observer": "pivot", "object": 1, "touched": 0.25, "nis": 1.0, "reason": "why not",
              "z_m": 0.018, "s1_m": None, "e_m": None, "psi_rad": None, "omega0_rad_s": None, "f1_n": None, "mu": None,
              "sd": {"z_m": 2e-5}}  # fmt: skip
@@ -105,7 +105,7 @@ def test_status_of_a_pivoting_gripper_is_told_with_and_without_its_arm():
     )
 
 
-def test_a_plan_goes_along_and_what_is_no_file_here_is_a_name_over_there(tmp_path, monkeypatch):
+def test_a_plan_file_is_sent_along_and_any_other_text_is_a_name_on_the_daemons_side(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with daemon(tmp_path, granted) as (address, requests):
         assert main(["ctl", "plan", "rock.yaml", "--address", address]) == 0
@@ -125,7 +125,7 @@ def test_a_plan_goes_along_and_what_is_no_file_here_is_a_name_over_there(tmp_pat
         (None, ":1:1: this is a folder"),
     ],
 )
-def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys):
+def test_a_plan_that_cannot_be_sent_is_a_local_error(tmp_path, content, complaint, capsys):
     path = tmp_path / "odd.yaml"
     path.mkdir() if content is None else path.write_bytes(content)
     with daemon(tmp_path, granted) as (address, requests):
@@ -135,7 +135,7 @@ def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys)
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "expected"),
     [
         (
             {"explored": {"coverage": 0.83, "reachable": 0.91, "reason": "the time is over, untouched: 40–60°"}},
@@ -159,11 +159,11 @@ def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys)
         ),
     ],
 )
-def test_status_tells_of_exploration_recorder_and_log(more, told):
-    assert told in [line.strip() for line in as_text("status", STATUS | more).splitlines()]
+def test_status_shows_exploration_recorder_and_log(more, expected):
+    assert expected in [line.strip() for line in as_text("status", STATUS | more).splitlines()]
 
 
-def test_of_what_is_not_valid_no_number_is_told():
+def test_an_invalid_estimate_is_shown_without_numbers():
     estimate = {"observer": "shape", "object": 2, "valid": False, "r1_m": 0.02103, "sd": {"r1_m": 1e-5}}
     lines = as_text("status", STATUS | {"estimate": estimate})
     assert "not valid" in lines
@@ -171,7 +171,7 @@ def test_of_what_is_not_valid_no_number_is_told():
     assert "21.03" not in lines
 
 
-def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
+def test_options_may_precede_or_follow_the_command(monkeypatch):
     asked = []
     monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, **_: asked.append(address) or Asked())
 
@@ -191,19 +191,19 @@ def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
     assert asked == ["tcp://a:1", ("note", {"text": "hello there"}), "tcp://b:2", ("hold", {})]
 
 
-def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():
+def test_reset_reports_which_faults_it_has_cleared():
     cleared = {"state": "ready", "cleared": ["arm-lost", "arm-fault"]}
     assert as_text("reset", cleared) == "state ready, cleared: arm-lost, arm-fault"
     assert as_text("reset", {"state": "ready", "cleared": []}) == "state ready, there was nothing to reset"
 
 
-def test_only_what_people_do_can_be_asked(capsys):
+def test_only_commands_meant_for_people_are_offered(capsys):
     with pytest.raises(SystemExit):
         main(["ctl", "recorder"])
     assert "there is no 'recorder'; choose from status, arm, " in capsys.readouterr().err
 
 
-def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):
+def test_a_refusal_is_printed_and_the_exit_status_is_1(tmp_path, capsys):
     with daemon(tmp_path, refusing) as (address, _):
         assert main(["ctl", "arm", "--address", address]) == 1
         assert capsys.readouterr().err == "arm refused: the state is idle\n"
@@ -211,13 +211,13 @@ def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out) == {"id": 1, "ok": False, "error": "arm refused: the state is idle"}
 
 
-def test_json_is_the_reply_as_it_came(tmp_path, capsys):
+def test_json_output_is_the_unchanged_reply(tmp_path, capsys):
     with daemon(tmp_path, granted) as (address, _):
         assert main(["ctl", "status", "--json", "--address", address]) == 0
     assert json.loads(capsys.readouterr().out) == {"id": 1, "ok": True, "result": STATUS}
 
 
-def test_a_jog_goes_in_steps_tells_its_whole_way_with_the_first_and_arrives(tmp_path):
+def test_a_jog_sends_steps_declares_the_whole_angle_with_the_first_and_arrives(tmp_path):
     with daemon(tmp_path, granted) as (address, requests):
         assert main(["ctl", "jog", "--phi1-deg", "0.6", "--phi2-deg", "-1", "--address", address]) == 0
     for palm, whole in (("phi1_deg", 0.6), ("phi2_deg", -1.0)):
@@ -245,7 +245,7 @@ def test_jog_steps_add_up_within_the_daemons_bounds(angles):
     assert steps[-1] == (0.0, 0.0)
 
 
-def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
+def test_a_reply_to_another_request_is_ignored(tmp_path):
     def confused(request):
         meant = request.id - 1 if request.id == 1 else request.id
         return Reply(Request(request.name, id=meant, route=request.route), None, {"state": "ready"})
@@ -256,7 +256,7 @@ def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
         assert client.ask("status")["result"] == {"state": "ready"}
 
 
-def test_a_stranger_on_the_port_is_no_answer(capsys, monkeypatch):
+def test_a_reply_from_another_program_is_not_accepted(capsys, monkeypatch):
     monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key, **_: CommandClient(address, 0.2, key))
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

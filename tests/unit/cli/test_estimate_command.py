@@ -29,7 +29,7 @@ def estimate_at(t, **changes):
 
 
 class Spy(SilentObserver):
-    """An observer that only remembers what it was told before it was asked."""
+    """An observer that only records which events precede each estimate."""
 
     def __init__(self):
         self.fed = []
@@ -58,7 +58,7 @@ def test_each_tick_sees_the_events_up_to_its_time_and_no_others():
     assert [tick.number for tick in ticks] == [1, 2, 3, 4]
 
 
-def test_a_late_event_is_fed_when_it_comes_not_when_it_was_true():
+def test_a_late_event_is_fed_at_its_arrival_not_at_its_timestamp():
     spy = Spy()
     run = run_of(0.0, 0.012, 0.003, 0.02)
     list(replay(run, spy))
@@ -67,13 +67,13 @@ def test_a_late_event_is_fed_when_it_comes_not_when_it_was_true():
 
 
 @pytest.mark.parametrize(("times", "count"), [((3.0,), 1), ((0.0, 0.01), 1), ((0.0, 0.0100001), 2), ((0.0, 0.32), 32)])
-def test_the_last_tick_has_seen_everything(times, count):
+def test_the_last_tick_has_seen_every_event(times, count):
     spy = Spy()
     assert len(list(replay(run_of(*times), spy))) == count == tick_count(run_of(*times))
     assert len(spy.fed) == len(times)
 
 
-def test_a_shape_comes_every_second():
+def test_a_shape_is_written_every_second():
     ticks = list(replay(run_of(0.0, 2.5), Spy()))
     assert [tick.t for tick in ticks if tick.shape is not None] == pytest.approx([1.0, 2.0])
 
@@ -91,7 +91,7 @@ def test_lines_hold_the_fields_of_the_contract():
     assert not any("NaN" in line for line in texts(tick_fields(tick)))
 
 
-def test_no_value_is_null():
+def test_missing_values_are_null():
     run = run_of(0.0, 0.01)
     spy = Spy()
     spy.estimate = lambda t: estimate_at(t, r1=math.nan, nis=math.inf)
@@ -114,11 +114,11 @@ def simulated(tmp_path_factory):
 
 
 def read(path):
-    told = [json.loads(line) for line in path.read_text().splitlines()]
-    return [line for line in told if "shape" not in line], [line for line in told if "shape" in line]
+    ticks = [json.loads(line) for line in path.read_text().splitlines()]
+    return [line for line in ticks if "shape" not in line], [line for line in ticks if "shape" in line]
 
 
-def test_the_command_gives_exactly_the_daemons_observer(simulated, tmp_path):
+def test_the_command_gives_the_same_estimates_as_the_daemons_observer(simulated, tmp_path):
     log = simulated
     out = tmp_path / "out.jsonl"
     assert main(["estimate", str(log), "-o", str(out), "--observer", "extended"]) == 0
@@ -165,14 +165,14 @@ def test_truth_in_the_log_changes_nothing(simulated, tmp_path):
     ],
     ids=["one pad only", "no palms", "no pads", "a gap"],
 )
-def test_poor_logs_give_no_traceback_and_no_claim_without_ground(simulated, tmp_path, keep, blind):
+def test_poor_logs_give_no_traceback_and_no_valid_estimate_while_blind(simulated, tmp_path, keep, blind):
     header, *events = simulated.read_text().splitlines()
     log, out = tmp_path / "poor.jsonl", tmp_path / "out.jsonl"
     log.write_text("\n".join([header, *(line for line in events if keep(json.loads(line)))]) + "\n")
     assert main(["estimate", str(log), "-o", str(out), "--observer", "extended"]) == 0
-    claims = [line["valid"] for line in read(out)[0] if blind[0] < line["t"] < blind[1]]
-    assert len(claims) > 50
-    assert not any(claims)
+    valid = [line["valid"] for line in read(out)[0] if blind[0] < line["t"] < blind[1]]
+    assert len(valid) > 50
+    assert not any(valid)
 
 
 def test_standard_output_and_notes(simulated, tmp_path, capsys):
@@ -184,22 +184,22 @@ def test_standard_output_and_notes(simulated, tmp_path, capsys):
     assert "is truncated" in err
 
 
-def test_the_quasistatic_observer_tells_the_errors_that_the_paper_observes(tmp_path):
+def test_the_quasistatic_observer_reports_the_papers_error_terms(tmp_path):
     lines, _ = simulate_log("friction", 405, 4.0)
     log, out = tmp_path / "run.jsonl", tmp_path / "out.jsonl"
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert main(["estimate", str(log), "-o", str(out), "--observer", "quasistatic"]) == 0
-    told = [json.loads(line) for line in out.read_text().splitlines()]
-    last = [line for line in told if "valid" in line][-1]
+    ticks = [json.loads(line) for line in out.read_text().splitlines()]
+    last = [line for line in ticks if "valid" in line][-1]
     assert last["valid"]
     assert last["observer"] == "quasistatic"
     assert 0.0 < abs(last["e_f_m"]) < 5e-3
     assert 0.0 <= last["e_c_m"] < 1e-3
     assert last["nis"] is last["observability"] is None
-    assert [line for line in told if "shape" in line]
+    assert [line for line in ticks if "shape" in line]
 
 
-def test_a_reader_that_goes_away_is_no_fault(simulated):
+def test_a_reader_that_closes_the_pipe_is_no_fault(simulated):
     command = [sys.executable, "-m", "palmd", "estimate", str(simulated), "-o", "-", "--observer", "extended"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.readline()
@@ -213,7 +213,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_on_a_terminal_it_says_what_it_is_doing_before_there_is_a_measure(simulated, tmp_path, monkeypatch):
+def test_on_a_terminal_the_current_step_is_shown_before_progress_is_known(simulated, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     assert main(["estimate", str(simulated), "-o", str(tmp_path / "out.jsonl"), "--observer", "quasistatic"]) == 0
     said = [each.strip() for each in terminal.getvalue().replace("\x1b[K", "").split("\r") if each.strip()]

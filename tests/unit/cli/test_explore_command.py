@@ -1,4 +1,4 @@
-"""`palmd ctl explore` against the daemon's own sockets: its requests in their order, its output, its end."""
+"""`palmd ctl explore` against the daemon's own sockets: its sequence of requests, its output, its end."""
 
 import os
 import signal
@@ -19,13 +19,13 @@ from palmd.quantities import SHAPE
 
 
 class Daemon:
-    """Answers as palmd would: ready until armed; explores for so many looks at its status."""
+    """Answers as palmd would: ready until armed; explores for a number of status requests."""
 
     def __init__(self, looks=3, armed=False, refuses=(), fault_at=None, held_at=None):
         self.state = "tracking" if armed else "ready"
         self.asked, self.plan = [], None
         self._looks, self._refuses, self._fault_at, self._held_at = looks, refuses, fault_at, held_at
-        self._seen = None  # looks since the start
+        self._seen = None  # status requests since the start
 
     def answer(self, request):
         name = request.name
@@ -70,7 +70,7 @@ class Daemon:
 
 @contextmanager
 def serving(folder, daemon):
-    """The daemon at its sockets; the addresses as arguments."""
+    """The daemon at its sockets; the addresses as command-line arguments."""
 
     def shape(bus):
         bus.publish(SHAPE, {"h_sd_m": [1e-5, 4.2e-5, 2e-5]}, 0.0, 0.0)
@@ -85,7 +85,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(operator, "PROGRESS_S", 0.0)
 
 
-def test_it_arms_starts_tells_and_leaves_the_arm_as_it_was(tmp_path, capsys):
+def test_it_arms_starts_reports_progress_and_restores_the_arms_state(tmp_path, capsys):
     daemon = Daemon()
     with serving(tmp_path, daemon) as where:
         assert main(["ctl", "explore", *where, "--coverage", "0.9", "--band-mm", "0.05", "--seconds", "30"]) == 0
@@ -99,7 +99,7 @@ def test_it_arms_starts_tells_and_leaves_the_arm_as_it_was(tmp_path, capsys):
     assert "tracking  touched 50%" in err
 
 
-def test_an_arm_that_tracked_before_tracks_on(tmp_path):
+def test_an_arm_that_was_tracking_keeps_tracking(tmp_path):
     daemon = Daemon(armed=True)
     with serving(tmp_path, daemon) as where:
         assert main(["ctl", "explore", *where]) == 0
@@ -110,7 +110,7 @@ def test_an_arm_that_tracked_before_tracks_on(tmp_path):
     ("command", "asked"),
     [("plan", ["plan"]), ("arm", ["plan", "arm"]), ("start", ["plan", "arm", "start", "hold", "stop"])],
 )
-def test_a_refusal_is_one_line_in_the_daemons_own_words(tmp_path, capsys, command, asked):
+def test_a_refusal_is_the_daemons_own_message_in_one_line(tmp_path, capsys, command, asked):
     daemon = Daemon(refuses=(command,))
     with serving(tmp_path, daemon) as where:
         assert main(["ctl", "explore", *where]) == 1
@@ -120,7 +120,7 @@ def test_a_refusal_is_one_line_in_the_daemons_own_words(tmp_path, capsys, comman
     assert err.startswith(f"{command} refused: the state is ")
 
 
-def test_a_fault_ends_it_as_a_failure_of_the_rig(tmp_path, capsys):
+def test_a_fault_ends_the_command_with_the_status_of_a_rig_failure(tmp_path, capsys):
     daemon = Daemon(looks=1000, fault_at=4)
     with serving(tmp_path, daemon) as where:
         assert main(["ctl", "explore", *where]) == 3
@@ -130,7 +130,7 @@ def test_a_fault_ends_it_as_a_failure_of_the_rig(tmp_path, capsys):
     assert daemon.asked[-1] == "stop"
 
 
-def test_a_hold_is_told_and_given_up_after_a_while(tmp_path, capsys, monkeypatch):
+def test_a_hold_is_reported_and_abandoned_after_a_timeout(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(operator, "HELD_S", 0.3)
     daemon = Daemon(looks=1000, held_at=3)
     with serving(tmp_path, daemon) as where:
@@ -141,7 +141,7 @@ def test_a_hold_is_told_and_given_up_after_a_while(tmp_path, capsys, monkeypatch
     assert daemon.asked[-2:] == ["hold", "stop"]
 
 
-def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
+def test_ctrl_c_first_holds_and_then_stops(tmp_path, capsys):
     daemon = Daemon(looks=10**6, armed=True)
 
     def interrupt():
@@ -157,7 +157,7 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("explored 50% of the 90%")
 
 
-def test_what_is_told_before_anything_is_known():
+def test_progress_before_the_first_touch():
     status = {"state": "tracking", "explored": {"coverage": None, "reachable": None, "reason": "rocks the object"}}
     assert progress(status, 2.0, float("nan")).endswith("touched nothing yet  largest sd not known  rocks the object")
     assert "0.031 mm" in concluded(status, 2.0, 31e-6)

@@ -1,4 +1,4 @@
-"""`palmd init`: every rig that it can be told of comes out as a configuration that loads."""
+"""`palmd init`: every rig that it offers becomes a configuration that loads."""
 
 import io
 import itertools
@@ -48,32 +48,32 @@ def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
     ("answers", "size"),
     [(["tsf85", "7", "", ""], (7, 4)), (["tsf85", "", "", ""], (14, 4)), (["st0001", "20", "", ""], (20, 3))],
 )
-def test_an_array_has_the_columns_that_its_protocol_knows(monkeypatch, tmp_path, answers, size):
-    told = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", ""]
-    assert init(monkeypatch, tmp_path / "my.yaml", told) == 0
+def test_an_array_has_the_columns_of_its_protocol(monkeypatch, tmp_path, answers, size):
+    typed = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", ""]
+    assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
     array = load_config(tmp_path / "my.yaml").pads.palm2
     assert (array.rows, array.columns) == size
 
 
-def test_rows_that_an_array_cannot_have_are_asked_again(monkeypatch, tmp_path, capsys):
-    told = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", ""]
-    assert init(monkeypatch, tmp_path / "my.yaml", told) == 0
+def test_impossible_numbers_of_rows_are_asked_again(monkeypatch, tmp_path, capsys):
+    typed = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", ""]
+    assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
     assert "it must be one of 7, 14" in capsys.readouterr().err
 
 
-def test_enter_takes_what_is_usual(monkeypatch, tmp_path):
+def test_enter_accepts_the_default(monkeypatch, tmp_path):
     assert init(monkeypatch, tmp_path / "my.yaml", [""] * 20) == 0
     config = load_config(tmp_path / "my.yaml")
     assert (config.pads.palm1.kind, config.arm.kind) == ("strip", "dynamixel")
     assert config.rig.gravity_m_s2 == 9.81
 
 
-def test_a_tilted_table_pulls_less(monkeypatch, tmp_path):
+def test_a_tilted_table_has_less_gravity(monkeypatch, tmp_path):
     init(monkeypatch, tmp_path / "my.yaml", lines("strip", "dynamixel", tilt="30"))
     assert load_config(tmp_path / "my.yaml").rig.gravity_m_s2 == pytest.approx(4.905)
 
 
-def test_a_bad_answer_is_asked_again_and_says_why(monkeypatch, tmp_path, capsys):
+def test_a_bad_answer_is_asked_again_with_the_reason(monkeypatch, tmp_path, capsys):
     answers = ["pads", "s", "/dev/a", "/dev/b", "", "", "d", "/dev/c", "", "", "steep", "200", "45"]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     said = capsys.readouterr().err
@@ -81,7 +81,7 @@ def test_a_bad_answer_is_asked_again_and_says_why(monkeypatch, tmp_path, capsys)
     assert said.count("it must be a number from 1 to 90") == 2
 
 
-def test_it_writes_over_nothing(monkeypatch, tmp_path, capsys):
+def test_an_existing_file_is_not_overwritten(monkeypatch, tmp_path, capsys):
     path = tmp_path / "my.yaml"
     path.write_text("mine")
     assert init(monkeypatch, path, [""] * 20) == 1
@@ -90,14 +90,14 @@ def test_it_writes_over_nothing(monkeypatch, tmp_path, capsys):
     assert init(monkeypatch, path, [""] * 20, "--force") == 0
 
 
-def test_two_pads_at_one_port_are_refused(monkeypatch, tmp_path, capsys):
+def test_one_port_for_two_pads_is_refused(monkeypatch, tmp_path, capsys):
     answers = lines("strip", "dynamixel")
     answers[2] = answers[1]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 1
     assert "is already used by palm1" in capsys.readouterr().err
 
 
-def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):
+def test_it_ends_when_its_input_ends(monkeypatch, tmp_path, capsys):
     assert init(monkeypatch, tmp_path / "my.yaml", []) == 1
     assert "no answer" in capsys.readouterr().err
     assert not (tmp_path / "my.yaml").exists()

@@ -1,4 +1,4 @@
-"""What `palmd install` puts where, and that the shipped units fit the code."""
+"""What `palmd install` puts where, and that the shipped units agree with the code."""
 
 import re
 import shutil
@@ -29,7 +29,7 @@ def setting(unit, name):
     return re.findall(rf"^{name}=(.*)$", shipped_service(unit).read_text(), re.MULTILINE)
 
 
-def test_files_are_where_systemd_and_udev_look(tmp_path):
+def test_files_are_installed_where_systemd_and_udev_expect_them(tmp_path):
     files = installed(tmp_path)
     assert {SYSTEM / unit for unit in UNITS} <= files.keys()
     assert Path("usr/local/lib/sysusers.d/palmd.conf") in files
@@ -37,7 +37,7 @@ def test_files_are_where_systemd_and_udev_look(tmp_path):
     assert {path.stat().st_mode & 0o777 for path in files.values()} == {0o644}
 
 
-def test_the_configuration_is_good_and_records_where_the_service_may_write(tmp_path):
+def test_the_installed_configuration_loads_and_records_where_the_service_may_write(tmp_path):
     config = load_config(installed(tmp_path)[Path("etc/palmd/palmd.yaml")])
     state = setting("palmd-record.service", "StateDirectory")
     assert [str(config.record.directory)] == [f"/var/lib/{name}" for name in state]
@@ -45,13 +45,13 @@ def test_the_configuration_is_good_and_records_where_the_service_may_write(tmp_p
     assert not config.autostart
 
 
-def test_units_call_this_palmd_and_read_that_configuration(tmp_path):
+def test_units_run_this_palmd_with_the_installed_configuration(tmp_path):
     text = installed(tmp_path)[SYSTEM / "palmd.service"].read_text()
     assert f"ExecStart={sys.prefix}/bin/palmd run --no-record /etc/palmd/palmd.yaml\n" in text
     assert "/opt/palmd" not in text or sys.prefix == "/opt/palmd"
 
 
-def test_what_the_machine_owns_is_kept_and_the_rest_renewed(tmp_path, capsys):
+def test_configuration_files_are_kept_and_all_others_replaced(tmp_path, capsys):
     files = installed(tmp_path)
     mine = [files[Path("etc/palmd/palmd.yaml")], files[Path("etc/udev/rules.d/71-palmd-names.rules")]]
     for path in (*mine, files[SYSTEM / "palmd.service"]):
@@ -63,13 +63,13 @@ def test_what_the_machine_owns_is_kept_and_the_rest_renewed(tmp_path, capsys):
     assert f"kept     {mine[0]}" in capsys.readouterr().out
 
 
-def test_a_dry_run_writes_nothing_and_names_everything(tmp_path, capsys):
+def test_a_dry_run_writes_nothing_and_lists_every_file(tmp_path, capsys):
     assert installed(tmp_path / "dry", "--dry-run") == {}
-    told = capsys.readouterr().out
-    assert all(str(path) in told for path in installed(tmp_path / "wet"))
+    output = capsys.readouterr().out
+    assert all(str(path) in output for path in installed(tmp_path / "wet"))
 
 
-def test_a_tree_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
+def test_an_unwritable_tree_is_a_one_line_error(tmp_path, capsys):
     (tmp_path / "usr").write_text("a file where a folder must be")
     assert cli.main(["install", "--root", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
@@ -78,7 +78,7 @@ def test_a_tree_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
     assert out == ""
 
 
-def test_what_may_not_be_written_is_not_said_to_be(tmp_path, capsys):
+def test_a_file_that_may_not_be_written_is_not_reported_as_written(tmp_path, capsys):
     (tmp_path / "tree").mkdir()
     with shut(tmp_path / "tree"):
         assert cli.main(["install", "--root", str(tmp_path / "tree")]) == 1
@@ -87,14 +87,14 @@ def test_what_may_not_be_written_is_not_said_to_be(tmp_path, capsys):
     assert err.startswith(f"{tmp_path / 'tree' / SYSTEM / UNITS[0]} may not be written: sudo ")
 
 
-def test_what_the_next_boot_does_as_well_may_fail(capsys):
+def test_a_step_that_the_next_boot_repeats_may_fail(capsys):
     install._follow(install.Step(["false"], vital=False), False)
     assert "next boot" in capsys.readouterr().out
     with pytest.raises(CliError, match="false failed with status 1"):
         install._follow(install.Step(["false"]), False)
 
 
-def test_a_palmd_in_a_home_is_shown_and_nothing_else_of_it():
+def test_only_the_palmd_installation_of_a_home_folder_is_visible_to_the_service():
     unit = shipped_service("palmd.service").read_text()
     command = Path("/home/ada/palmd/.venv/bin/palmd")
     parts = [Path("/home/ada/palmd/.venv"), Path("/usr"), Path("/home/ada/palmd"), Path("/opt/python")]
@@ -105,7 +105,7 @@ def test_a_palmd_in_a_home_is_shown_and_nothing_else_of_it():
     assert f"ExecStart={command} run" in text
 
 
-def test_a_palmd_among_temporary_files_is_shown_and_its_end_foretold(tmp_path, capsys, monkeypatch):
+def test_a_palmd_among_temporary_files_is_visible_to_the_service_with_a_warning(tmp_path, capsys, monkeypatch):
     parts = [Path("/tmp/palmd/.venv"), Path("/tmp/palmd/src"), Path("/home/ada/python"), Path("/tmpfs/palmd")]
     assert hidden_parts(parts) == [Path("/home/ada/python"), *parts[:2]]
     assert passing_parts(parts) == parts[:2]
@@ -116,28 +116,28 @@ def test_a_palmd_among_temporary_files_is_shown_and_its_end_foretold(tmp_path, c
     assert [line.split()[1] for line in notes] == ["/tmp/palmd/.venv", "/tmp/palmd/src"]
 
 
-def test_a_palmd_elsewhere_leaves_the_homes_shut():
+def test_a_palmd_elsewhere_keeps_home_folders_hidden():
     text = adapted(shipped_service("palmd.service").read_text(), Path("/srv/palmd/bin/palmd"), [])
     assert "\nProtectHome=yes\n" in text
     assert "/opt/palmd" not in text
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd-analyze")
-def test_systemd_analyze_verify_has_nothing_to_say(tmp_path):
+def test_systemd_analyze_verify_finds_nothing(tmp_path):
     files = installed(tmp_path)
     units = [str(files[SYSTEM / unit]) for unit in UNITS]
     done = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_the_unit_and_the_code_agree():
+def test_unit_and_code_agree():
     assert setting("palmd.service", "CPUSchedulingPriority") == [str(PRIORITY)]
     assert setting("palmd.service", "CPUSchedulingResetOnFork") == ["yes"]
-    assert setting("palmd.service", "CacheDirectory") == ["palmd"]  # model.compiled looks there
+    assert setting("palmd.service", "CacheDirectory") == ["palmd"]  # where model.compiled looks
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_no_service_is_reached_from_elsewhere_or_gains_rights(unit):
+def test_no_service_listens_on_the_network_or_gains_privileges(unit):
     assert setting(unit, "IPAddressDeny") == ["any"]
     assert setting(unit, "IPAddressAllow") == ["localhost"]
     assert setting(unit, "CapabilityBoundingSet") == [""]

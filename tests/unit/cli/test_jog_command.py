@@ -29,7 +29,7 @@ def test_arrows(key, phi1, phi2):
     assert handle.step(1.0) == {"phi1_deg": STEP_DEG * phi1, "phi2_deg": STEP_DEG * phi2}
 
 
-def test_letting_go_stops():
+def test_releasing_the_key_stops_the_jog():
     handle = DeadMansSwitch()
     assert handle.step(0.0) is None
     handle.pressed(RIGHT * 3, 1.0)
@@ -37,7 +37,7 @@ def test_letting_go_stops():
     assert handle.step(1.0 + HELD_S + 1e-3) is None
 
 
-def test_the_last_arrow_counts_and_any_other_key_lets_go():
+def test_the_last_arrow_counts_and_any_other_key_stops():
     handle = DeadMansSwitch()
     handle.pressed(RIGHT + UP, 1.0)
     assert handle.step(1.0) == {"phi1_deg": 0.0, "phi2_deg": STEP_DEG}
@@ -45,19 +45,19 @@ def test_the_last_arrow_counts_and_any_other_key_lets_go():
     assert handle.step(1.01) is None
 
 
-def test_what_else_can_be_asked():
+def test_keys_for_other_commands():
     assert DeadMansSwitch().pressed(b"aS" + RIGHT + b"q", 0.0) == ["arm", "stop", "end"]
     assert DeadMansSwitch().pressed(b"\x03", 0.0) == ["end"]
 
 
-def test_steps_are_such_that_the_daemon_takes_them_and_goes_on():
+def test_the_daemon_accepts_the_steps_and_the_motion_is_continuous():
     assert JOG_STEP_MAX_DEG >= STEP_DEG
     assert math.degrees(RATE) >= STEP_DEG / EVERY_S
     assert 2.0 * EVERY_S < DEAD_MAN_S
     assert HELD_S > 2.0 / 20.0  # slow terminals repeat 20 times a second
 
 
-def test_the_line_shows_angles_limits_and_what_is_wrong():
+def test_the_line_shows_angles_limits_and_faults():
     motion, state = {"phi1_rad": 0.5, "phi2_rad": 1.5}, {"state": "hold", "faults": ["pad1-lifted"]}
     text = line(motion, state, LimitsConfig(), "", 100)
     assert text == "phi1  28.6° (6 to 150)  phi2  85.9° (35 to 155)  hold  pad1-lifted"
@@ -66,7 +66,7 @@ def test_the_line_shows_angles_limits_and_what_is_wrong():
 REFUSED = "jog refused: phi1 reaches 150.4°, the limit is 150°"
 
 
-def test_the_line_stays_one_line_and_shows_a_refusal_first_and_no_nan():
+def test_the_status_is_one_line_with_refusals_first_and_without_nan():
     motion, state = {"phi1_rad": 0.5, "phi2_rad": 1.5}, {"state": "tracking", "faults": ["pad1-lifted", "pad2-lifted"]}
     text = line(motion, state, LimitsConfig(), REFUSED, 80)
     assert text.startswith("phi1  28.6°  phi2  85.9°  tracking  jog refused: phi1 reaches 150.4°, the lim")
@@ -83,7 +83,7 @@ def test_the_line_stays_one_line_and_shows_a_refusal_first_and_no_nan():
 
 @contextlib.contextmanager
 def daemon(folder, refusing=()):
-    """A daemon's bus that publishes a motion and grants what it is not to refuse; collects the commands."""
+    """A daemon's bus that publishes a motion and grants all commands but the given ones; collects the commands."""
     asked = []
 
     def answer(request):
@@ -110,7 +110,7 @@ def terminal(monkeypatch):
 
 
 def at_the_keys(master, presses):
-    """Presses keys, each for so long."""
+    """Presses each key for a given time."""
 
     def press():
         _until_ready(master)
@@ -130,7 +130,7 @@ def at_the_keys(master, presses):
 
 
 def _until_ready(master):
-    """Until it has said which keys there are, and drawn its first line: from then on keys count at once."""
+    """Waits for the help line and the first status line: from then on keys are read at once."""
     said, deadline = b"", time.monotonic() + 20.0
     while b"phi1" not in said and time.monotonic() < deadline:
         with contextlib.suppress(BlockingIOError):
@@ -151,8 +151,8 @@ def sitting(tmp_path, monkeypatch, presses, **options):
     return asked
 
 
-def test_a_sitting(tmp_path, monkeypatch):
-    """Armed, turned while the key is held, still while it is not, and stopped in the end for it was armed here."""
+def test_a_jog_session(tmp_path, monkeypatch):
+    """Armed, turned while the key is held, at rest otherwise; finally stopped, because the command has armed it."""
     asked = sitting(tmp_path, monkeypatch, [(b"a", 0.02), (RIGHT, 0.5), (b"", 0.5), (DOWN, 0.3)])
     names = [name for name, _, _ in asked]
     assert names[:2] == ["status", "arm"]
@@ -163,6 +163,6 @@ def test_a_sitting(tmp_path, monkeypatch):
     assert max(gaps) > 0.3
 
 
-def test_what_was_not_armed_here_is_not_stopped(tmp_path, monkeypatch):
+def test_an_arm_that_was_armed_before_is_not_stopped(tmp_path, monkeypatch):
     asked = sitting(tmp_path, monkeypatch, [(b"a", 0.02), (RIGHT, 0.2)], refusing=("arm", "jog"))
     assert [name for name, _, _ in asked if name == "stop"] == []

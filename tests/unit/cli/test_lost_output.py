@@ -1,4 +1,4 @@
-"""What a command says may be lost; its exit status is not, and there is no traceback."""
+"""A command whose output cannot be written keeps its exit status and prints no traceback."""
 
 import os
 import subprocess
@@ -48,7 +48,7 @@ def test_standard_output_may_be_full(good):
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_nobody_may_read_standard_output(good, unbuffered):
+def test_standard_output_without_a_reader(good, unbuffered):
     command = '$PALMD check --json "$1" "$2" | true; exit ${PIPESTATUS[0]}'
     assert shell(command, good, good.with_name("none.yaml"), PYTHONUNBUFFERED=unbuffered).returncode == 1
 

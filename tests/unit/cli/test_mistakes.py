@@ -1,6 +1,6 @@
-"""Mistakes that people make, each with its exact message: one line a fault, where it is, what to do.
+"""Common mistakes, each with its exact message: one line a fault, where it is, what to do.
 
-The usage that argparse prints above its message is left out here. `{here}` is the folder in which all is done.
+The usage line that argparse prints above its message is left out here. `{here}` is the working folder.
 """
 
 from __future__ import annotations
@@ -202,13 +202,13 @@ MISTAKES = (
     ("doctor --port /dev/nothing --arm-conformance", 3,
      "arm: no such port /dev/nothing: check the plug and the configured name"),
 )
-"""What is typed, the exit status, what is said, and the files that are there."""
+"""The command line, its exit status, its message, and the files in the folder."""
 # fmt: on
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake[0])
-def test_a_mistake_is_told_in_one_line(mistake, tmp_path: Path, monkeypatch, capsys) -> None:
-    typed, status, told, *others = mistake
+def test_a_mistake_is_reported_in_one_line(mistake, tmp_path: Path, monkeypatch, capsys) -> None:
+    typed, status, message, *others = mistake
     files: dict[str, str] = others[0] if others else {}
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("palmd.daemon.realtime.prepare", lambda *_: [])
@@ -221,7 +221,7 @@ def test_a_mistake_is_told_in_one_line(mistake, tmp_path: Path, monkeypatch, cap
         ended = caught.code
     captured = capsys.readouterr()
     said = re.sub(r"\Ausage: .*?^(?=palmd.*: error: )", "", captured.err, flags=re.DOTALL | re.MULTILINE)
-    assert said == told.replace("{here}", str(tmp_path)) + "\n"
+    assert said == message.replace("{here}", str(tmp_path)) + "\n"
     assert (ended, captured.out) == (status, "")
     assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()} == set(files)
 
@@ -237,7 +237,7 @@ BAD_FILES = {
 
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_bad_file_is_told_with_its_place_and_nothing_is_begun(tmp_path, capsys, command, name) -> None:
+def test_a_bad_file_is_reported_with_its_place_and_nothing_starts(tmp_path, capsys, command, name) -> None:
     text, place = BAD_FILES[name]
     config, plan = tmp_path / "palmd.yaml", tmp_path / "far.yaml"
     config.write_text(text)

@@ -25,8 +25,8 @@ def folder(tmp_path_factory):
     bodies, outlines = library("rig", 41, 3)
     (folder / "library").mkdir()
     for outline in outlines:
-        told = {"name": outline.name, "theta_rad": THETA.tolist(), "h_m": outline.h.tolist(), "rho_m": outline.rho}
-        (folder / "library" / f"{outline.name[-1]}.json").write_text(json.dumps(told | {"h_sd_m": [2e-5] * 360}))
+        written = {"name": outline.name, "theta_rad": THETA.tolist(), "h_m": outline.h.tolist(), "rho_m": outline.rho}
+        (folder / "library" / f"{outline.name[-1]}.json").write_text(json.dumps(written | {"h_sd_m": [2e-5] * 360}))
     lines, _ = simulate_log("rig", 41, 2.5, AS_ASSUMED, bodies[1])
     (folder / "run.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     return folder
@@ -38,28 +38,28 @@ def test_recognise_prints_and_writes_the_probabilities(folder, tmp_path, capsys)
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("body 1")
     assert "body 1, since" in printed[-1]
-    told = json.loads(out.read_text())
-    assert told["names"] == ["body 0", "body 1", "body 2"]
-    assert told["best"] == "body 1"
-    assert sum(told["probability"]) + told["none"] == pytest.approx(1.0)
-    assert 0.0 < told["decided_s"] < 2.5
+    answer = json.loads(out.read_text())
+    assert answer["names"] == ["body 0", "body 1", "body 2"]
+    assert answer["best"] == "body 1"
+    assert sum(answer["probability"]) + answer["none"] == pytest.approx(1.0)
+    assert 0.0 < answer["decided_s"] < 2.5
     assert main(["recognise", str(folder / "run.jsonl"), str(folder / "library"), "-o", "-"]) == 0
-    assert json.loads(capsys.readouterr().out) == told
+    assert json.loads(capsys.readouterr().out) == answer
 
 
 def test_estimate_with_a_stored_outline(folder, tmp_path):
     out = tmp_path / "out.jsonl"
     shape = str(folder / "library" / "1.json")
     assert main(["estimate", str(folder / "run.jsonl"), "-o", str(out), "--shape", shape]) == 0
-    told = [json.loads(line) for line in out.read_text().splitlines()]
-    objects = [line["object"] for line in told if isinstance(line.get("object"), dict)]
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    objects = [line["object"] for line in lines if isinstance(line.get("object"), dict)]
     assert [each["best"] for each in objects] == ["body 1", "body 1"]
-    estimates = [line for line in told if "nis" in line]
+    estimates = [line for line in lines if "nis" in line]
     assert estimates[-1]["valid"]
     assert estimates[-1]["sd"]["psi_rad"] < 0.1
 
 
-def test_bad_input_is_one_line(folder, tmp_path, capsys):
+def test_bad_input_is_a_one_line_error(folder, tmp_path, capsys):
     log, library_ = str(folder / "run.jsonl"), str(folder / "library")
     empty, bad, silent = tmp_path / "empty", tmp_path / "bad.json", tmp_path / "silent.jsonl"
     empty.mkdir()
@@ -67,7 +67,7 @@ def test_bad_input_is_one_line(folder, tmp_path, capsys):
     header, *events = (folder / "run.jsonl").read_text().splitlines()
     silent.write_text("\n".join([header, *(line for line in events if "palms" in line)]) + "\n")
     out = tmp_path / "out.json"
-    for arguments, told in (
+    for arguments, error in (
         (["recognise", log, str(empty)], "holds no outline"),
         (["recognise", log, str(tmp_path / "none")], "No such file"),
         (["recognise", log, str(bad)], "is h_m in mm?"),
@@ -78,7 +78,7 @@ def test_bad_input_is_one_line(folder, tmp_path, capsys):
     ):
         assert main(arguments) == 1
         captured = capsys.readouterr()
-        assert told in captured.err
+        assert error in captured.err
         assert captured.err.count("\n") == 1
         assert not captured.out
     assert not out.exists()
@@ -100,20 +100,20 @@ def test_the_configuration_names_an_outline_or_a_folder(folder):
 
 
 @pytest.mark.parametrize(
-    ("observer", "told"),
+    ("observer", "problem"),
     [("{shape: nowhere.json}", "does not exist"), ("{primary: extended, shape: library}", "needs primary: shape")],
 )
-def test_what_cannot_be_is_told_with_its_place_at_load(folder, observer, told):
+def test_an_impossible_shape_is_reported_with_its_place_when_the_configuration_is_loaded(folder, observer, problem):
     path = configured(folder, observer)
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     (line,) = caught.value.errors
     assert line.startswith(f"{path}:3:{path.read_text().splitlines()[2].index('shape: ') + 8}: observer.shape: ")
-    assert told in line
+    assert problem in line
     assert check_files([path]) == caught.value.errors
 
 
-def test_an_outline_that_is_refused_is_found_by_check_and_by_the_daemon(folder, capsys):
+def test_a_rejected_outline_is_reported_by_check_and_by_the_daemon(folder, capsys):
     (folder / "bad.json").write_text(json.dumps({"theta_rad": THETA.tolist(), "h_m": [20.0] * 360}))
     path = configured(folder, "{shape: bad.json}")
     (line,) = check_files([path])

@@ -68,8 +68,8 @@ def test_the_result_has_the_fields_of_the_contract():
     assert line["rig"]["pad2_zero_m"] == {"value": 1.0, "sd": 0.5}
     assert len(line["rig"]) == len(RIG_NAMES)
     assert line["sides"] == []
-    told = as_line(answer(sides=np.array([[0.5, 0.012, 0.002]])), unweighed())
-    assert told["sides"] == [{"normal_rad": 0.5, "length_m": 0.012, "length_sd_m": 0.002}]
+    fields = as_line(answer(sides=np.array([[0.5, 0.012, 0.002]])), unweighed())
+    assert fields["sides"] == [{"normal_rad": 0.5, "length_m": 0.012, "length_sd_m": 0.002}]
     assert line["shape_class"]["name"] is None
     assert line["looks_like"] == line["shape_class"]
     assert "flat side or bridged dent of 12.0 ± 2.0 mm, explains 0.0 s between 0.1 and 0.2 s" in two_palms.summary(
@@ -82,7 +82,7 @@ def test_the_result_has_the_fields_of_the_contract():
     }  # fmt: skip
 
 
-def test_what_is_not_there_is_null():
+def test_missing_values_are_null():
     line = as_line(nothing(), unweighed())
     assert set(line) == FIELDS
     assert (line["converged"], line["reason"], len(line["theta_rad"])) == (False, "too little", 360)
@@ -161,7 +161,7 @@ def test_standard_output_summary_and_notes(log, result, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("given", ["map_length_m=0", "map_length_m=-1", "map_m=nan", "map_mm=0.07"])
-def test_an_error_of_place_that_cannot_be_is_refused(log, tmp_path, given, capsys):
+def test_an_impossible_placement_error_is_refused(log, tmp_path, given, capsys):
     out = tmp_path / "out.json"
     with pytest.raises(SystemExit) as stopped:
         main(["reconstruct", str(log), "-o", str(out), "--calibration-sd", given])
@@ -171,7 +171,7 @@ def test_an_error_of_place_that_cannot_be_is_refused(log, tmp_path, given, capsy
 
 
 @pytest.mark.parametrize("source", ["pad", "palms"])
-def test_a_log_that_tells_too_little_is_no_fault(log, source, tmp_path, capsys):
+def test_a_log_with_too_few_readings_is_no_fault(log, source, tmp_path, capsys):
     header, *events = log.read_text().splitlines()
     poor, out = tmp_path / "poor.jsonl", tmp_path / "out.json"
     poor.write_text("\n".join([header, *(line for line in events if source in json.loads(line))]) + "\n")
@@ -181,11 +181,11 @@ def test_a_log_that_tells_too_little_is_no_fault(log, source, tmp_path, capsys):
     assert capsys.readouterr().err == f"{poor}: not converged: {line['reason']}\n"
 
 
-def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
+def test_bad_input_is_a_one_line_error(log, tmp_path, capsys):
     short = tmp_path / "short.jsonl"
     short.write_text("\n".join(log.read_text().splitlines()[:3]) + "\n")
     before, out = short.read_bytes(), tmp_path / "out.json"
-    for arguments, told in (
+    for arguments, problem in (
         ([str(tmp_path / "none.jsonl"), "-o", str(out)], "No such file"),
         ([str(short), "-o", str(tmp_path / "no" / "out.json")], "cannot be written: No such file"),
         ([str(short), "-o", str(short)], "is the log itself"),
@@ -193,14 +193,14 @@ def test_bad_input_is_one_clear_line(log, tmp_path, capsys):
     ):
         assert main(["reconstruct", *arguments]) == 1
         err = capsys.readouterr().err
-        assert told in err
+        assert problem in err
         assert err.count("\n") == 1
     assert not out.exists()
     assert short.read_bytes() == before
 
 
 @pytest.mark.parametrize("option", ["-o", "--mesh"])
-def test_where_nothing_can_be_written_nothing_is_computed(log, tmp_path, monkeypatch, capsys, option):
+def test_nothing_is_computed_if_the_output_cannot_be_written(log, tmp_path, monkeypatch, capsys, option):
     monkeypatch.setattr("palmd.observer.reconstruct.reconstruct", lambda *_, **__: pytest.fail("it was computed"))
     (tmp_path / "folder.ply").mkdir()
     for target, why in ((tmp_path / "nowhere" / "x.ply", "No such file"), (tmp_path / "folder.ply", "Is a directory")):
@@ -209,7 +209,7 @@ def test_where_nothing_can_be_written_nothing_is_computed(log, tmp_path, monkeyp
         assert why in capsys.readouterr().err
 
 
-def test_what_lay_still_is_weighed_though_it_tells_no_outline(tmp_path, capsys):
+def test_an_object_at_rest_gets_a_mass_but_no_outline(tmp_path, capsys):
     """Section 4.1: mass without motion."""
     log, out = tmp_path / "still.jsonl", tmp_path / "out.json"
     lines, truth = simulate_log("friction", 405, 0.4)

@@ -1,4 +1,4 @@
-"""`palmd runs recover` and `palmd record`: what they say, and what they refuse."""
+"""`palmd runs recover` and `palmd record`: what they print, and what they refuse."""
 
 import pytest
 import recorded
@@ -18,7 +18,7 @@ def cut_off(tmp_path):
     return file.path
 
 
-def test_a_run_that_lacks_its_end_only_is_finished_in_place(tmp_path, capsys):
+def test_a_run_that_lacks_only_its_end_is_completed_in_place(tmp_path, capsys):
     file, _ = recorded.begun(tmp_path)
     file.abandon()
     assert main(["runs", "recover", str(file.path)]) == 0
@@ -30,7 +30,7 @@ def test_a_run_that_lacks_its_end_only_is_finished_in_place(tmp_path, capsys):
     assert capsys.readouterr().out == f"{file.path}: is already complete\n"
 
 
-def test_what_cannot_be_read_stays_where_it_is(cut_off, capsys):
+def test_a_damaged_run_is_never_overwritten(cut_off, capsys):
     before = cut_off.read_bytes()
     saved = cut_off.with_name(f"{cut_off.stem}.recovered.mcap")
     assert main(["runs", "recover", str(cut_off)]) == 1
@@ -53,7 +53,7 @@ def test_the_output_may_be_named(cut_off, tmp_path, capsys):
     assert is_packed(tmp_path / "b.mcap")
 
 
-def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys):
+def test_a_file_that_cannot_be_recovered_is_refused_and_left_unchanged(tmp_path, capsys):
     path = tmp_path / "run.mcap"
     path.write_bytes(b"not a recording")
     assert main(["runs", "recover", str(path)]) == 1
@@ -61,13 +61,13 @@ def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys)
     assert path.read_bytes() == b"not a recording"
 
 
-def test_an_output_that_cannot_be_written_is_told(cut_off, tmp_path, capsys):
+def test_an_output_that_cannot_be_written_is_reported(cut_off, tmp_path, capsys):
     target = tmp_path / "none" / "b.mcap"
     assert main(["runs", "recover", str(cut_off), "-o", str(target)]) == 1
     assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
 
 
-def test_record_refuses_what_is_no_configuration_and_no_address(tmp_path, capsys):
+def test_record_refuses_a_bad_configuration_and_a_bad_address(tmp_path, capsys):
     assert main(["record", str(tmp_path / "none.yaml")]) == 1
     assert "none.yaml" in capsys.readouterr().err
     config = tmp_path / "palmd.yaml"
@@ -76,6 +76,6 @@ def test_record_refuses_what_is_no_configuration_and_no_address(tmp_path, capsys
         f"bus: {{publish: 'ipc://{tmp_path}/p', command: 'ipc://{tmp_path}/c'}}\n"
     )
     assert main(["record", str(config), "--truth", "somewhere"]) == 1
-    told = capsys.readouterr().err
-    assert told.startswith("somewhere: not an address (")
-    assert told.endswith("; one looks like tcp://127.0.0.1:9872\n")
+    error = capsys.readouterr().err
+    assert error.startswith("somewhere: not an address (")
+    assert error.endswith("; one looks like tcp://127.0.0.1:9872\n")

@@ -29,7 +29,7 @@ from tools.published import validate
 
 
 def rewritten(path, change=lambda message: message, **metadata):
-    """The run that was lived with each message changed, left out where None, and other metadata."""
+    """The recorded run with each message changed, left out where None, and other metadata."""
     run = read_run(rig_recording.path())
     said = {METADATA: {**run.metadata, **metadata}}
     with path.open("wb") as stream:
@@ -57,11 +57,11 @@ def without(topic, *numbers):
     return lambda message: None if message.topic == topic and (not numbers or message.sequence in numbers) else message
 
 
-# ---------------------------------------------------------------------------------------------- again, bit for bit
+# ------------------------------------------------------------------------------------------- checking a run again
 
 
 def tick_count():
-    """How many ticks the run that was lived has."""
+    """The number of ticks of the recorded run."""
     return sum(topic == EVENTS.name for topic, _ in rig_recording.published())
 
 
@@ -69,22 +69,22 @@ def answers(path):
     return list(Recheck(read_run(path)).ticks())
 
 
-def test_the_observer_says_the_same_again_to_the_last_bit():
+def test_the_observer_gives_bit_identical_estimates_again():
     ticks = answers(rig_recording.path())
     events = [fields for topic, fields in rig_recording.published() if topic == EVENTS.name]
     assert [tick.number for tick in ticks] == list(range(len(events)))
     assert not any(tick.differences for tick in ticks)
-    told = [fields for topic, fields in rig_recording.published() if topic == ESTIMATE.name]
-    assert any(fields["valid"] for fields in told)  # there was something to agree about
+    estimates = [fields for topic, fields in rig_recording.published() if topic == ESTIMATE.name]
+    assert any(fields["valid"] for fields in estimates)  # otherwise the comparison is empty
     assert any(topic == IMPROVEMENT.name for topic, _ in rig_recording.published())
 
 
-def test_what_the_smoother_said_is_part_of_it(tmp_path):
+def test_without_the_smoothers_messages_the_estimates_differ(tmp_path):
     path = rewritten(tmp_path / "a.mcap", without(IMPROVEMENT.name))
     assert any(tick.differences for tick in answers(path))
 
 
-def test_check_agrees(capsys):
+def test_check_reports_agreement(capsys):
     count = tick_count()
     assert main(["replay", str(rig_recording.path()), "--check"]) == 0
     out, err = capsys.readouterr()
@@ -95,35 +95,35 @@ def test_check_agrees(capsys):
 
 
 def without_granted(command):
-    """The log tells that this command was refused."""
+    """Marks this command as refused in the log."""
 
     def change(message):
         if message.topic != LOG.name:
             return message
         fields = message.fields
-        told = zip(fields["name"], fields["text"], strict=True)
-        fields["text"] = ["no" if name == command and text == "done" else text for name, text in told]
+        entries = zip(fields["name"], fields["text"], strict=True)
+        fields["text"] = ["no" if name == command and text == "done" else text for name, text in entries]
         return dataclasses.replace(message, payload=msgpack.packb(fields))
 
     return change
 
 
 @pytest.mark.parametrize(
-    ("command", "told"), [("arm", "from ready to tracking without a granted arm"), ("start", "without a granted start")]
+    ("command", "rule"), [("arm", "from ready to tracking without a granted arm"), ("start", "without a granted start")]
 )
-def test_what_nobody_granted_breaks_a_rule(tmp_path, capsys, command, told):
+def test_a_transition_without_its_command_breaks_a_rule(tmp_path, capsys, command, rule):
     path = rewritten(tmp_path / "a.mcap", without_granted(command))
     assert main(["replay", str(path), "--check"]) == 1
-    assert told in capsys.readouterr().out
+    assert rule in capsys.readouterr().out
 
 
-def test_what_the_log_does_not_tell_breaks_no_rule(tmp_path):
+def test_a_run_without_a_log_breaks_no_rule(tmp_path):
     kept = check_run(read_run(rewritten(tmp_path / "a.mcap", without(LOG.name))))
     assert kept.states > 10
     assert (kept.entries, kept.broken) == (0, ())
 
 
-def test_one_bit_is_found(tmp_path, capsys):
+def test_a_difference_of_one_bit_is_found(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", with_field("s1_m", lambda s: math.nextafter(s, 1.0)))
     assert main(["replay", str(path), "--check"]) == 1
     lines = capsys.readouterr().out.splitlines()
@@ -133,13 +133,13 @@ def test_one_bit_is_found(tmp_path, capsys):
     assert lines[2].startswith("largest difference in tick 120: s1_m by ")
 
 
-def test_an_estimate_that_the_daemon_withheld_is_no_difference():
+def test_an_estimate_that_the_daemon_left_out_is_no_difference():
     now = {"valid": True, "r1_m": math.nan, "sd": {}}
     assert not list(differences(3, now | {"valid": False}, now))
     assert [each.name for each in differences(3, now, now | {"valid": False})] == ["valid"]
 
 
-def test_a_difference_is_weighed_by_its_sd():
+def test_a_difference_is_given_in_standard_deviations():
     recorded_fields = {"r1_m": 1.0, "mu": 0.2, "sd": {"r1_m": 0.5, "mu": math.nan}}
     now = {"r1_m": 1.25, "mu": 0.3, "sd": {"r1_m": 0.25, "mu": math.nan}}
     found = {each.name: each.sigmas for each in differences(3, recorded_fields, now)}
@@ -148,7 +148,7 @@ def test_a_difference_is_weighed_by_its_sd():
     assert set(found) == {"r1_m", "mu", "sd.r1_m"}
 
 
-def test_other_versions_are_told(tmp_path, capsys):
+def test_other_versions_are_reported(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", numpy="1.0", machine="abacus")
     assert main(["replay", str(path), "--check"]) == 0
     lines = capsys.readouterr().err.splitlines()
@@ -158,10 +158,10 @@ def test_other_versions_are_told(tmp_path, capsys):
     ]
 
 
-def test_up_to_a_gap_it_can_be_checked(tmp_path, capsys):
+def test_ticks_before_a_gap_are_checked(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", without(EVENTS.name, 150))
     assert main(["replay", str(path), "--check"]) == 0
-    rest = tick_count() - 151  # after the one that is missing
+    rest = tick_count() - 151  # after the missing tick
     said = f"150 of 150 ticks agree to the last bit; {rest} more could not be compared"
     assert said in capsys.readouterr().out
 
@@ -173,12 +173,12 @@ def test_a_run_without_its_beginning_cannot_be_checked(tmp_path, capsys):
     assert err == f"{path}: begins with tick 2; the observer's state before is not recorded\n"
 
 
-# ---------------------------------------------------------------------------------------------- on the wire again
+# ----------------------------------------------------------------------------------------------- publishing again
 
 
 @contextlib.contextmanager
 def subscriber(address, *topics):
-    """Of these topics, by default of all that a run may hold."""
+    """A subscriber to these topics, by default to all that a run may contain."""
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger, socket.rcvhwm, socket.reconnect_ivl = 0, 0, 5
         socket.connect(address)
@@ -217,12 +217,12 @@ def test_messages_are_due_at_the_pace_of_their_arrival():
     assert due == pytest.approx([0.0, 0.125, 0.125, 0.5])
 
 
-def test_a_clock_that_was_set_does_not_hold_a_replay_up():
+def test_a_clock_step_does_not_delay_a_replay():
     due = [t for t, _ in offsets([message(t) for t in (100.0, 50.0, 51.0, 90_000.0, 90_000.5)], 1.0)]
     assert due == pytest.approx([0.0, 0.0, 1.0, 6.0, 6.5])
 
 
-def test_nothing_is_sent_before_it_is_due():
+def test_nothing_is_sent_early():
     sent = []
     start = time.monotonic()
     play([message(t) for t in (0.0, 0.2)], 2.0, lambda _: sent.append(time.monotonic() - start), lambda: False, print)
@@ -236,11 +236,11 @@ def test_a_replay_can_be_stopped_while_it_waits():
     assert len(sent) == 1
 
 
-def test_a_message_without_a_timestamp_tells_when_it_was_published():
+def test_a_message_without_a_timestamp_counts_from_its_publication_time():
     assert frames(message(1.5e9)) == (b"palm/info", b"\x80", b"1500000000.000000")
 
 
-def test_a_port_that_is_taken_is_one_clear_line(capsys):
+def test_a_port_in_use_is_a_one_line_error(capsys):
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         address = f"tcp://127.0.0.1:{port}"
@@ -251,7 +251,7 @@ def test_a_port_that_is_taken_is_one_clear_line(capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "problem"),
     [
         (["--speed", "0"], "must be more than 0"),
         (["--speed", "nan"], "must be more than 0"),
@@ -259,14 +259,14 @@ def test_a_port_that_is_taken_is_one_clear_line(capsys):
         (["--publish", "nonsense"], "must be tcp://"),
     ],
 )
-def test_usage_errors(arguments, told, capsys):
+def test_usage_errors(arguments, problem, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["replay", "run.mcap", *arguments])
     assert caught.value.code == 2
-    assert told in capsys.readouterr().err
+    assert problem in capsys.readouterr().err
 
 
-def test_a_replay_says_that_it_is_one_once_a_second(tmp_path):
+def test_a_replay_identifies_itself_once_a_second(tmp_path):
     address = f"ipc://{tmp_path}/publish"
     with subscriber(address, b"replay/") as socket:
         assert main(["replay", str(rig_recording.path()), "--speed", "2", "--publish", address]) == 0
@@ -276,12 +276,12 @@ def test_a_replay_says_that_it_is_one_once_a_second(tmp_path):
     assert 1 <= len(found) <= 4  # the run has 3 s
     for heard_frames in found:
         assert plotjuggler.problems(heard_frames) == []
-        told = msgpack.unpackb(heard_frames[1])
-        assert validate(REPLAY, told) == []
-        assert (heard_frames[0], told["path"], told["speed"]) == (b"replay/run", rig_recording.path().name, 2.0)
+        fields = msgpack.unpackb(heard_frames[1])
+        assert validate(REPLAY, fields) == []
+        assert (heard_frames[0], fields["path"], fields["speed"]) == (b"replay/run", rig_recording.path().name, 2.0)
 
 
-def test_a_loop_goes_on_until_ctrl_c(tmp_path):
+def test_a_loop_runs_until_ctrl_c(tmp_path):
     file, _ = recorded.begun(tmp_path)
     file.finish()
     address = f"ipc://{tmp_path}/publish"

@@ -1,4 +1,4 @@
-"""`palmd top`: what a frame shows, how it is painted, and that the terminal is given back."""
+"""`palmd top`: what a frame shows, how it is painted, and that the terminal is restored."""
 
 import contextlib
 import fcntl
@@ -70,20 +70,20 @@ def text(rows):
     return "\n".join(row.text for row in rows)
 
 
-def test_a_frame_tells_everything():
-    told = text(frame(board(), 100.1))
-    assert "palmd 0.1.0  HOLD  tcp://127.0.0.1:9872" in told
-    assert "valid, shape, object 2, touched 34 %, nis 0.98, obs –" in told
-    assert "r1    21.03 ±0.01 mm" in told
-    assert "r2        – ±– mm" in told
-    assert "pad 1  touched     21.00 mm  pressure  45  age    6 ms" in told
-    assert "pad 2  untouched       – mm  pressure   –  age 3000 ms, batched" in told
-    assert "phi1   28.07° commanded   28.65°   phi2   86.52° commanded   85.94°" in told
-    assert "arm    T   plan rock, segment 1, 34 %" in told
-    assert "ticks 1234, overruns 2, c backend, 80 MB" in told
-    assert "pad1      bad_header 3, losses 1" in told
-    assert "9000" not in told
-    assert " s old" not in told
+def test_a_frame_shows_every_quantity():
+    shown_text = text(frame(board(), 100.1))
+    assert "palmd 0.1.0  HOLD  tcp://127.0.0.1:9872" in shown_text
+    assert "valid, shape, object 2, touched 34 %, nis 0.98, obs –" in shown_text
+    assert "r1    21.03 ±0.01 mm" in shown_text
+    assert "r2        – ±– mm" in shown_text
+    assert "pad 1  touched     21.00 mm  pressure  45  age    6 ms" in shown_text
+    assert "pad 2  untouched       – mm  pressure   –  age 3000 ms, batched" in shown_text
+    assert "phi1   28.07° commanded   28.65°   phi2   86.52° commanded   85.94°" in shown_text
+    assert "arm    T   plan rock, segment 1, 34 %" in shown_text
+    assert "ticks 1234, overruns 2, c backend, 80 MB" in shown_text
+    assert "pad1      bad_header 3, losses 1" in shown_text
+    assert "9000" not in shown_text
+    assert " s old" not in shown_text
 
 
 def test_faults_come_with_their_hints_and_gravity():
@@ -94,7 +94,7 @@ def test_faults_come_with_their_hints_and_gravity():
     assert note.style == "faint"
 
 
-def test_what_is_off_of_the_rig_stands_below_the_faults():
+def test_mis_calibrated_constants_are_listed_below_the_faults():
     shown = board()
     before = len(frame(shown, 100.1))
     off = rig_fields(np.array([3e-4, *ZEROS[1:]]), ZEROS + 3e-5, ZEROS + 1e-4, ZEROS)
@@ -107,40 +107,40 @@ def test_what_is_off_of_the_rig_stands_below_the_faults():
     )
 
 
-def test_what_is_old_is_said_to_be_old():
+def test_old_data_are_marked_as_old():
     shown = board()
     shown.take(Message(LOOP.name, MESSAGES[LOOP], 101.5))
-    told = text(frame(shown, 102.0))
-    assert told.count("2.0 s old") == 3  # of the topics that come often
-    assert "no data" not in told
+    shown_text = text(frame(shown, 102.0))
+    assert shown_text.count("2.0 s old") == 3  # the frequent topics
+    assert "no data" not in shown_text
     assert "no data from tcp://127.0.0.1:9872 for 9 s; the following data are old" in text(frame(shown, 110.5))
 
 
-def test_the_latest_of_the_log_comes_first_with_how_long_ago_it_was():
+def test_the_latest_log_entry_comes_first_with_its_age():
     entries = [LogEntry(i, 90.0 + i, "fault", "arm-late", "degrade", "", math.nan, f"cause {i}") for i in range(9)]
     shown = board()
     shown.take(Message(LOG.name, log_fields(entries) | {"mono_ns": 100_000_000_000}, 100.0))
-    told = [row for row in frame(shown, 102.0) if "cause" in row.text]
-    assert told[0].text.split() == ["log", "4.0", "s", "ago", "arm-late:", "cause", "8"]
-    assert told[0].style == "warning"
-    assert len(told) == 4
+    shown_text = [row for row in frame(shown, 102.0) if "cause" in row.text]
+    assert shown_text[0].text.split() == ["log", "4.0", "s", "ago", "arm-late:", "cause", "8"]
+    assert shown_text[0].style == "warning"
+    assert len(shown_text) == 4
 
 
-def test_without_data_it_says_where_it_listens():
-    told = text(frame(Board("tcp://127.0.0.1:1"), 5.0))
-    assert told == "no data from tcp://127.0.0.1:1: check that palmd runs there"
+def test_without_data_it_shows_the_address():
+    shown_text = text(frame(Board("tcp://127.0.0.1:1"), 5.0))
+    assert shown_text == "no data from tcp://127.0.0.1:1: check that palmd runs there"
 
 
 @pytest.mark.parametrize("topic", MESSAGES)
-def test_any_topic_alone_and_empty_makes_a_frame(topic):
+def test_a_frame_is_drawn_from_any_single_topic_even_if_empty(topic):
     assert frame(board(topic), 100.0)
     empty = Board("x")
     empty.take(Message(topic.name, {}, 100.0))
     assert frame(empty, 100.0)
 
 
-def test_everything_is_seen_on_80_by_24():
-    """Two faults, one thing off, troubles on a port, every topic with its rate and age: nothing is cut."""
+def test_everything_fits_on_80_by_24():
+    """Two faults, one mis-calibrated constant, errors on a port, every topic with rate and age: nothing is cut."""
     shown = Board("tcp://127.0.0.1:9872")
     off = rig_fields(np.array([3e-4, *ZEROS[1:]]), ZEROS + 3e-5, ZEROS + 1e-4, ZEROS)
     for tick in range(200):
@@ -180,7 +180,7 @@ def test_painting_fits_the_terminal():
 
 @pytest.fixture
 def daemon(tmp_path):
-    """The address where a daemon publishes all of it, again and again."""
+    """The address where a daemon publishes every topic repeatedly."""
 
     def publish(bus):
         for topic, fields in MESSAGES.items():
@@ -224,21 +224,21 @@ def test_in_a_pipe_it_prints_plain_frames_until_interrupted(daemon):
 
 
 @pytest.mark.parametrize("end", ["q", "SIGTERM", "SIGINT"])
-def test_on_a_terminal_it_redraws_resizes_and_gives_the_terminal_back(daemon, end):
+def test_on_a_terminal_it_redraws_resizes_and_restores_the_terminal(daemon, end):
     main_end, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
     before = termios.tcgetattr(terminal)
     with subprocess.Popen(command(daemon), stdin=terminal, stdout=terminal, stderr=terminal) as process:
         try:
-            told = shown(main_end, lambda told: told.count(b"HOLD") > 2)
-            assert told.startswith(b"\x1b[?1049h\x1b[?25l\x1b[H")
+            screen = shown(main_end, lambda screen: screen.count(b"HOLD") > 2)
+            assert screen.startswith(b"\x1b[?1049h\x1b[?25l\x1b[H")
             fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 3, 20, 0, 0))
-            shown(main_end, lambda told: told.count(b"HOLD") > 4 and b"ticks" not in told[-200:])
+            shown(main_end, lambda screen: screen.count(b"HOLD") > 4 and b"ticks" not in screen[-200:])
             if end == "q":
                 os.write(main_end, b"q")
             else:
                 process.send_signal(getattr(signal, end))
-            rest = shown(main_end, lambda told: told.endswith(b"\x1b[?25h\x1b[?1049l"))
+            rest = shown(main_end, lambda screen: screen.endswith(b"\x1b[?25h\x1b[?1049l"))
             assert process.wait(10) == 0
             assert b"Traceback" not in rest
             assert termios.tcgetattr(terminal) == before
@@ -249,12 +249,12 @@ def test_on_a_terminal_it_redraws_resizes_and_gives_the_terminal_back(daemon, en
 
 
 def shown(descriptor, enough):
-    """What a terminal gets, until it is enough."""
-    told = b""
+    """Reads what a terminal is sent until `enough`."""
+    screen = b""
     deadline = time.monotonic() + 10.0
-    while not enough(told):
-        assert time.monotonic() < deadline, told
+    while not enough(screen):
+        assert time.monotonic() < deadline, screen
         if select.select([descriptor], [], [], 0.1)[0]:
             with contextlib.suppress(OSError):
-                told += os.read(descriptor, 65536)
-    return told
+                screen += os.read(descriptor, 65536)
+    return screen

@@ -1,4 +1,4 @@
-"""A terminal's keys: taken one by one without Enter, without waiting, and the terminal is as it was afterwards."""
+"""A terminal's keys are read one by one without Enter and without waiting; the terminal's settings are restored."""
 
 import contextlib
 import os
@@ -18,7 +18,7 @@ def terminal():
     os.close(near)
 
 
-def test_keys_come_without_enter_and_nobody_waits_for_them(terminal):
+def test_keys_are_read_without_enter_and_without_waiting(terminal):
     far, near = terminal
     with unbuffered(near) as keys:
         assert pressed(keys) == b""
@@ -27,7 +27,7 @@ def test_keys_come_without_enter_and_nobody_waits_for_them(terminal):
         assert pressed(keys) == b"bc"
 
 
-def test_the_terminal_is_as_it_was_however_it_ends(terminal):
+def test_the_terminals_settings_are_restored_after_an_interrupt(terminal):
     _, near = terminal
     before = termios.tcgetattr(near)
     with contextlib.suppress(KeyboardInterrupt), unbuffered(near):

@@ -1,4 +1,4 @@
-"""Logging that cannot hold up the loop."""
+"""Logging that cannot block the loop."""
 
 import logging
 import os
@@ -29,7 +29,7 @@ def test_lines_arrive_in_order_with_their_level(pipe):
     assert os.read(pipe[0], 1000) == b"WARNING one\nWARNING two\n"
 
 
-def test_nobody_reading_holds_nothing_up(pipe):
+def test_a_reader_that_does_not_read_blocks_nothing(pipe):
     journal = AsyncLog(pipe[1])
     begun = time.monotonic()
     for _ in range(3 * MAX_QUEUED_LINES):

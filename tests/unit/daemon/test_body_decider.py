@@ -1,4 +1,4 @@
-"""Where an exploration of a body between three palms goes next, by questions and answers."""
+"""Decisions of an exploration of a body between three palms, by questions and answers."""
 
 import dataclasses
 import math
@@ -44,13 +44,13 @@ def question(belief, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
     return Question(t, ExplorationTask(run, TiltGoal(**goal), LIMITS), belief, under_way, choose)
 
 
-def test_until_a_body_is_known_the_palms_swing():
+def test_without_an_accepted_body_the_palms_swing():
     answer = BodyDecider(RIG).answer(question(None))
     assert (answer.object_count, answer.decision.kind, answer.decision.move.start) == (None, "move", REST)
     assert "swings" in answer.decision.reason
 
 
-def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(belief):
+def test_the_next_move_of_a_known_body_begins_where_the_current_move_ends(belief):
     end = (0.95, 0.78, 0.8)
     answer = BodyDecider(RIG).answer(question(belief, UnderWay(Move(REST, end, 0.5), 0.1)))
     assert answer.object_count == 1
@@ -59,17 +59,17 @@ def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(belief):
     assert answer.decision.then.start == answer.decision.move.end
     assert math.isfinite(answer.decision.coverage)
     believed = BodyDecider(RIG).answer(question(dataclasses.replace(belief, accepted=False)))
-    assert (believed.decision.kind, believed.decision.then) == ("move", None)  # one by one, until it is claimed
+    assert (believed.decision.kind, believed.decision.then) == ("move", None)  # single moves until it is accepted
 
 
-def test_who_is_only_asked_whether_it_may_go_on_says_so(belief):
+def test_a_question_without_choice_is_answered_with_safe_or_unsafe(belief):
     decider, move = BodyDecider(RIG), Move(REST, (0.95, 0.78, 0.8), 0.5)
     assert decider.answer(question(belief, UnderWay(move, 0.1), choose=False)).decision.kind == "safe"
     thrown = UnderWay(Move(REST, (1.3, 0.3, 0.3), 0.08), 0.01)
     assert decider.answer(question(belief, thrown, choose=False)).decision.kind == "unsafe"
 
 
-def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over(belief):
+def test_it_is_done_when_an_accepted_body_is_covered_or_the_time_is_over(belief):
     decider, most = BodyDecider(RIG), icosphere()[0][:, 2] > -0.6
     seen = dataclasses.replace(belief, touched=most)
     answer = decider.answer(question(seen, coverage=0.8)).decision
@@ -80,31 +80,31 @@ def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over
     assert (late.kind, late.reason) == ("done", "the time limit of 60 s is over")
 
 
-def test_what_was_felt_since_the_answer_counts_too(belief):
+def test_contacts_since_the_last_answer_count_as_coverage(belief):
     decider = BodyDecider(RIG)
     bare = decider.answer(question(belief, choose=False)).decision.coverage
-    felt = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
-    share = decider.answer(question(felt, choose=False)).decision.coverage
+    extended = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
+    share = decider.answer(question(extended, choose=False)).decision.coverage
     assert bare == 0.0
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
 
 
-def test_what_was_felt_while_it_was_claimed_counts_on(belief):
-    felt = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
+def test_coverage_of_an_accepted_body_is_kept(belief):
+    extended = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
 
     def shares(*beliefs):
         decider = BodyDecider(RIG)
         return [decider.answer(question(each, choose=False)).decision.coverage for each in beliefs]
 
-    share, on, elsewhere = shares(felt, belief, dataclasses.replace(belief, record_start=3.0, frame=2))
-    assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
-    assert shares(dataclasses.replace(felt, accepted=False), belief) == [share, 0.0]
+    share, on, elsewhere = shares(extended, belief, dataclasses.replace(belief, record_start=3.0, frame=2))
+    assert on == share > elsewhere == 0.0  # not in another frame
+    assert shares(dataclasses.replace(extended, accepted=False), belief) == [share, 0.0]
 
 
-def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_next_record(belief):
+def test_coverage_is_carried_into_the_frame_of_the_next_record(belief):
     one, turn = np.array([0.0, 0.0, 1.0]), exp(np.array([0.0, 1.1, 0.0]))
-    felt = dataclasses.replace(belief, normals_since=np.tile(one, (1, 3, 1)))
-    again = dataclasses.replace(belief, record_start=3.0, turn=turn)  # what was touched lies there at turn.T @ one
+    extended = dataclasses.replace(belief, normals_since=np.tile(one, (1, 3, 1)))
+    again = dataclasses.replace(belief, record_start=3.0, turn=turn)  # the contact lies at turn.T @ one in this frame
     there = dataclasses.replace(again, normals_since=np.tile(turn.T @ one, (1, 3, 1)))
     elsewhere = dataclasses.replace(again, normals_since=np.tile(one, (1, 3, 1)))
 
@@ -112,34 +112,34 @@ def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_nex
         decider = BodyDecider(RIG)
         return [decider.answer(question(each, choose=False)).decision.coverage for each in beliefs][-1]
 
-    once = share(felt)
-    assert share(felt, again) == pytest.approx(once, rel=0.25)
-    assert share(felt, there) < 1.4 * once
-    assert share(felt, elsewhere) > 1.7 * once
-    assert share(felt, again, belief) == pytest.approx(once, rel=0.4)  # and back
+    once = share(extended)
+    assert share(extended, again) == pytest.approx(once, rel=0.25)
+    assert share(extended, there) < 1.4 * once
+    assert share(extended, elsewhere) > 1.7 * once
+    assert share(extended, again, belief) == pytest.approx(once, rel=0.4)  # and back in the first frame
 
 
-def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(belief, monkeypatch):
+def test_a_body_at_rest_without_a_safe_move_is_swung_unless_it_is_accepted(belief, monkeypatch):
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *_, **__: None)
     believed, late = dataclasses.replace(belief, accepted=False), 10.1 + body_decider.REST_LIMIT_S
     decider = BodyDecider(RIG)
     assert decider.answer(question(believed)).decision.kind == "wait"
     swing = decider.answer(question(believed, t=late)).decision
     assert (swing.kind, swing.blind, swing.move.start) == ("move", True, REST)
-    # What is believed to lose the body does not stop the swing, nor keep the next one waiting.
+    # A predicted loss of the body neither stops the swing nor delays the next one.
     leaving = dataclasses.replace(believed, omega=np.array([60.0, 40.0, 0.0]))
     after = decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late + 0.1)).decision
     assert (after.kind, after.move.start) == ("move", swing.move.end)
     assert (
         decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late)).decision.kind == "unsafe"
-    )  # the one before
-    claimed = BodyDecider(RIG)
-    assert [claimed.answer(question(belief, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
-    decider.answer(question(believed, t=late, run=2))  # a new exploration waits anew
+    )  # the previous move
+    accepted = BodyDecider(RIG)
+    assert [accepted.answer(question(belief, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
+    decider.answer(question(believed, t=late, run=2))  # a new exploration restarts the waiting time
     assert decider.answer(question(believed, t=late + 0.1, run=2)).decision.kind == "wait"
 
 
-def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(belief, monkeypatch):
+def test_a_light_body_is_pressed_hard_enough_for_the_pads_to_detect_it(belief, monkeypatch):
     asked = []
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))
     decider = BodyDecider(RIG)
@@ -151,21 +151,21 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(belief
     assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.DETECTABLE_N / 0.08)
 
 
-def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(belief, monkeypatch):
+def test_moves_are_short_before_a_body_is_accepted_and_slow_after_it_is_lost(belief, monkeypatch):
     asked = []
     monkeypatch.setattr(
         body_decider.BodyExplorer, "decide", lambda *args, most_rad_s, **_: asked.append((most_rad_s, args[4]))
     )
     decider = BodyDecider(RIG)
-    for claimed in (False, True, False):
-        decider.answer(question(dataclasses.replace(belief, accepted=claimed)))
+    for accepted in (False, True, False):
+        decider.answer(question(dataclasses.replace(belief, accepted=accepted)))
     decider.answer(question(dataclasses.replace(belief, accepted=False, record_start=3.0)))  # in another frame
     short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
     assert [most for most, _ in asked] == [short, stride, slower, short]
     assert all(np.abs(drawn.p - belief.p).max() < 1e-6 for _, drawn in asked)
 
 
-def test_no_move_is_over_before_the_next_can_be_decided(belief, monkeypatch):
+def test_every_move_lasts_long_enough_to_decide_the_next(belief, monkeypatch):
     made, grown = [], body_explorer.BodyExplorer._extended_randomly
     monkeypatch.setattr(
         body_explorer.BodyExplorer, "_extended_randomly", lambda *args: made.extend(grown(*args)) or made[-48:]
@@ -174,7 +174,7 @@ def test_no_move_is_over_before_the_next_can_be_decided(belief, monkeypatch):
     assert min(move.duration for each in made for move in each.moves) == body_decider.SHORTEST_S
 
 
-def test_another_frame_of_the_body_begins_anew(belief, monkeypatch):
+def test_another_frame_of_the_body_gets_a_new_explorer(belief, monkeypatch):
     made = []
     explorer = body_decider.BodyExplorer
     monkeypatch.setattr(body_decider, "BodyExplorer", lambda *a: made.append(a) or explorer(*a))
@@ -189,7 +189,7 @@ def test_another_frame_of_the_body_begins_anew(belief, monkeypatch):
     assert len(made) == 3
 
 
-def test_what_was_never_felt_is_foreseen_as_convex(belief):
+def test_untouched_parts_are_predicted_as_convex(belief):
     decider, hollow, n = BodyDecider(RIG), belief.p.copy(), count(ORDER)
     hollow[count(8) : n] += 3e-5 * np.random.default_rng(0).normal(size=n - count(8))
     wide = belief.covariance.copy()

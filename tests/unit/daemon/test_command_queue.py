@@ -1,4 +1,4 @@
-"""Who is served first when more commands come than a tick serves."""
+"""The order of service when more commands arrive than a tick serves."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,14 +25,14 @@ def crowd(count, name="status"):
     return [asked(name, f"c{number}", number) for number in range(count)]
 
 
-def test_few_are_served_in_the_order_in_which_they_came():
+def test_a_few_commands_are_served_in_order_of_arrival():
     requests = [asked("arm", "a"), asked("stop", "b"), asked("status", "c"), asked("start", "a")]
     queue, _ = filled(*requests)
     assert queue.take(OWNER) == (requests, [])
     assert queue.take(OWNER) == ([], [])
 
 
-def test_stop_and_hold_go_first_then_the_owner_then_commands_then_questions():
+def test_stop_and_hold_precede_the_owners_then_other_commands_then_queries():
     stop, hold, own, arm = asked("stop", "x"), asked("hold", "y"), asked("jog", "owner"), asked("note", "z")
     queue, _ = filled(*crowd(20), own, stop, arm, hold)
     queue.add(own, OWNER)
@@ -43,7 +43,7 @@ def test_stop_and_hold_go_first_then_the_owner_then_commands_then_questions():
     assert len(served) == 2 + PER_TICK
 
 
-def test_the_owner_gets_in_however_full_it_is():
+def test_the_owners_command_is_queued_even_if_the_queue_is_full():
     queue, _ = filled(*crowd(MAX_WAITING))
     own = [asked("jog", "owner", number) for number in range(MAX_OWNER_EXTRA + 1)]
     refused = [queue.add(each, OWNER) for each in own]
@@ -51,7 +51,7 @@ def test_the_owner_gets_in_however_full_it_is():
     assert queue.take(OWNER)[0] == own[:PER_TICK]
 
 
-def test_a_command_makes_a_question_give_way_and_a_modest_client_a_greedy_one():
+def test_a_command_displaces_a_query_and_a_client_with_few_requests_one_with_many():
     greedy = [asked("status", "greedy", number) for number in range(MAX_WAITING)]
     for newcomer in (asked("arm", "new"), asked("status", "modest")):
         queue, _ = filled(*greedy)
@@ -62,7 +62,7 @@ def test_a_command_makes_a_question_give_way_and_a_modest_client_a_greedy_one():
         assert newcomer in queue.take(OWNER)[0]
 
 
-def test_nothing_that_moves_follows_a_stop_which_overtook_it():
+def test_moving_commands_overtaken_by_a_stop_are_refused():
     before = [asked("start", f"c{number}") for number in range(8)]
     after = asked("start", "late")
     queue, _ = filled(*before, asked("stop", "x"), after)
@@ -79,7 +79,7 @@ REQUESTS = st.lists(
 
 
 @given(REQUESTS)
-def test_each_request_comes_out_once_and_stop_and_hold_are_never_in_vain(story):
+def test_each_request_leaves_once_and_stop_and_hold_are_always_served(story):
     queue, out, came = CommandQueue(), [], []
     for number, (name, client, tick) in enumerate(story):
         request = asked(name, client, number)

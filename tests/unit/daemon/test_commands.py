@@ -16,8 +16,8 @@ def test_arguments_are_passed_on():
     assert parse(packed(id="a", cmd="plan", args={"path": "p.yaml"})).args == {"path": "p.yaml"}
     assert parse(packed(id="a", cmd="jog", args={"phi1_deg": -0.25})).args == {"phi1_deg": -0.25}
     assert parse(packed(id=1, cmd="arm", args=None)).args == {}
-    told = {"bytes": 100, "messages": 3, "lost": 0, "path": "a.mcap"}
-    assert parse(packed(id=1, cmd="recorder", args=told)).args == told
+    arguments = {"bytes": 100, "messages": 3, "lost": 0, "path": "a.mcap"}
+    assert parse(packed(id=1, cmd="recorder", args=arguments)).args == arguments
 
 
 @pytest.mark.parametrize(
@@ -51,19 +51,19 @@ def test_arguments_are_passed_on():
         (b"\x91" * 60_000, None, "not a msgpack map"),
     ],
 )
-def test_malformed(payload, id, complaint):
+def test_malformed_requests_are_refused(payload, id, complaint):
     with pytest.raises(CommandError, match=complaint.replace("(", r"\(")) as caught:
         parse(payload)
     assert caught.value.id == id
     assert len(str(caught.value)) < 300
 
 
-def test_who_asks_is_what_it_says_of_itself():
+def test_a_client_is_named_by_what_it_sends():
     assert parse(packed(id=3, cmd="arm", **{"from": "palmd ctl of ann"})).who == "palmd ctl of ann"
     assert parse(packed(id=3, cmd="arm")).who == ""
 
 
-def test_reply_has_only_what_it_needs():
+def test_a_reply_has_only_the_needed_fields():
     request = Request("arm", id=5)
     assert Reply(request, None, {"state": "tracking"}).fields() == {
         "id": 5,

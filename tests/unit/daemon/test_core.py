@@ -1,4 +1,4 @@
-"""The daemon's pure core in one process with the emulated rig: commands, faults, and what reaches the arm."""
+"""The daemon's core without I/O, in one process with the emulated rig: commands, faults, and set-points to the arm."""
 
 import dataclasses
 import math
@@ -39,7 +39,7 @@ TICK_STEPS = 20
 
 
 class Fake(SilentObserver):
-    """An observer that only listens."""
+    """An observer that only records what it is fed."""
 
     name, object_count, late_dropped = "fake", 1, 0
 
@@ -82,7 +82,7 @@ class Fake(SilentObserver):
 
 
 class Clock:
-    """Time for so many events in a tick."""
+    """A time budget that is used up after a number of events."""
 
     def __init__(self, events):
         self.left = events
@@ -93,7 +93,7 @@ class Clock:
 
 
 class Mute:
-    """Nobody who decides."""
+    """An explorer that never answers."""
 
     prepared, asked = False, 0
 
@@ -108,7 +108,7 @@ class Mute:
 
 
 class Bench:
-    """World and core, tick by tick."""
+    """World and core, advanced tick by tick."""
 
     def __init__(self, seed=1, spec=SWING, autostart=False, config=None, explorer=None):
         config = (config or default_config()).model_copy(update={"autostart": autostart})
@@ -158,7 +158,7 @@ class Bench:
                 self.messages += self.core.step(self.t)
                 if until is not None and until():
                     return self
-        assert until is None, f"it did not come to that: {self.state}, {self.faults}"
+        assert until is None, f"condition not reached: {self.state}, {self.faults}"
         return self
 
     def ask(self, name, seconds=0.5, **args):
@@ -197,7 +197,7 @@ class Bench:
                 self.core.receive(end, data, self.t)
 
     def check_the_arm(self):
-        """What the far end thinks of the set-points it got."""
+        """The emulated arm's verdict on the set-points that it received."""
         status = self.world.status()
         assert status["setpoints_outside_limits"] == 0
         assert status["largest_rate_deg_s"] < 121.0
@@ -206,7 +206,7 @@ class Bench:
 
 @cache
 def kept(begun):
-    """A bench as it is when it has begun, for every test to begin with one of its own."""
+    """A bench in the given state, pickled, so that every test starts from its own copy."""
     return pickle.dumps(begun())
 
 
@@ -232,7 +232,7 @@ def running():
 
 
 def logged(bench, kind=""):
-    """The log's last message, as whoever comes late has it."""
+    """The log's last message, as a late subscriber gets it."""
     bench.go(0.2)
     return [entry for entry in entries_of(bench.last("palm/log")) if kind in ("", entry.kind)]
 
@@ -240,7 +240,7 @@ def logged(bench, kind=""):
 # ---- from idle to a running plan
 
 
-def test_idle_until_all_ports_are_open_and_the_arm_has_said_hello():
+def test_the_daemon_is_idle_until_all_ports_are_open_and_the_arm_has_answered():
     bench = Bench()
     bench.unplug("pad2")
     assert bench.go(0.5).state == "idle"
@@ -249,13 +249,13 @@ def test_idle_until_all_ports_are_open_and_the_arm_has_said_hello():
     assert bench.go(0.3).state == "ready"
 
 
-def test_nothing_moves_unasked(ready):
+def test_nothing_moves_without_a_command(ready):
     ready.go(2.0)
     assert ready.state == "ready"
     assert {line[:1] for line in ready.written.split(b"\n") if line} == {b"H", b"Q"}
 
 
-def test_arm_stands_and_start_runs_the_plan(ready):
+def test_arm_keeps_the_pose_and_start_runs_the_plan(ready):
     assert ready.do("arm") == {"state": "tracking"}
     here = ready.go(0.3).commanded()
     assert ready.go(0.3).commanded() == here
@@ -267,7 +267,7 @@ def test_arm_stands_and_start_runs_the_plan(ready):
     ready.check_the_arm()
 
 
-def test_a_plan_that_ends_leaves_the_arm_standing_and_may_be_run_again():
+def test_after_a_plans_end_the_arm_holds_its_pose_and_start_runs_the_plan_again():
     bench = Bench(spec=SHORT).go(0.5)
     bench.do("arm")
     bench.do("start")
@@ -275,7 +275,7 @@ def test_a_plan_that_ends_leaves_the_arm_standing_and_may_be_run_again():
     assert bench.state == "tracking"
     assert math.degrees(bench.commanded()) == pytest.approx(55.0)
     assert not bench.core.setpoints.moving
-    assert "never reaches" in bench.ask("start").error  # from where it stands, as the plan says
+    assert "never reaches" in bench.ask("start").error  # from this pose the plan is impossible
     assert "plan-refused" in bench.go(0.1).faults
     bench.check_the_arm()
 
@@ -289,7 +289,7 @@ def test_autostart_arms_and_starts_once():
     assert bench.go(3.0).state == "ready"
 
 
-def test_hold_and_start_go_on_where_it_stood(running):
+def test_start_after_hold_resumes_from_the_held_pose(running):
     running.do("hold")
     assert running.state == "hold"
     here = running.go(0.5).commanded()
@@ -300,7 +300,7 @@ def test_hold_and_start_go_on_where_it_stood(running):
     running.go(1.0).check_the_arm()
 
 
-def test_stop_comes_to_rest_in_ready(running):
+def test_stop_ends_in_ready(running):
     assert running.do("stop") == {"state": "ready"}
     running.go(0.5)
     assert running.last("palm/motion")["arm_state"] == "R"
@@ -330,7 +330,7 @@ def test_jog(ready):
         ({"whole_phi1_deg": 1.0, "whole_phi2_deg": 70.0}, "phi2 reaches"),
     ],
 )
-def test_a_jog_that_cannot_go_all_the_way_is_not_begun(ready, whole, complaint):
+def test_a_jog_that_cannot_be_completed_is_refused_at_its_first_step(ready, whole, complaint):
     ready.do("arm")
     begin = ready.go(0.1).commanded()
     assert complaint in ready.ask("jog", phi1_deg=0.4, **whole).error
@@ -339,7 +339,7 @@ def test_a_jog_that_cannot_go_all_the_way_is_not_begun(ready, whole, complaint):
     assert not ready.do("status")["moving"]
 
 
-def test_a_jog_that_is_refused_leaves_the_held_plan_in_hand(running):
+def test_a_refused_jog_keeps_the_held_plan(running):
     running.do("hold")
     running.go(0.5)
     assert "falls to" in running.ask("jog", phi1_deg=-0.4, whole_phi1_deg=-90.0).error
@@ -350,19 +350,19 @@ def test_a_jog_that_is_refused_leaves_the_held_plan_in_hand(running):
 
 
 @pytest.mark.parametrize("command", ["start", "hold", "jog"])
-def test_what_needs_an_arm_is_refused_in_ready(ready, command):
+def test_motion_commands_are_refused_in_ready(ready, command):
     assert "it must be tracking or hold" in ready.ask(command).error
     assert ready.state == "ready"
 
 
-def test_what_is_under_way_is_not_begun_again(running):
+def test_commands_that_would_start_something_twice_are_refused(running):
     assert "it must be ready" in running.ask("arm").error
     assert "moving already" in running.ask("start").error
     assert "hold or stop them first" in running.ask("plan", path="x.yaml").error
     assert running.state == "tracking"
 
 
-def test_status_tells_where_things_stand(running):
+def test_status_reports_state_plan_and_faults(running):
     status = running.do("status")
     assert status["state"] == "tracking"
     assert (status["plan"], status["doing"], status["arm_state"]) == ("swing", "sine", "T")
@@ -374,18 +374,18 @@ def test_status_tells_where_things_stand(running):
     assert status["wish"] == status["requested_state"] == "hold"
 
 
-# ---- what is kept of a run
+# ---- what is published for the record
 
 
-def test_status_tells_where_the_palms_are_as_soon_as_that_is_known(ready):
-    told, actual = ready.do("status"), ready.core.arm.actual
-    assert [told[name] for name in ("phi1_rad", "phi2_rad")] == pytest.approx(actual.angles)
+def test_status_reports_the_palms_angles_as_soon_as_they_are_known(ready):
+    status, actual = ready.do("status"), ready.core.arm.actual
+    assert [status[name] for name in ("phi1_rad", "phi2_rad")] == pytest.approx(actual.angles)
     fresh = Bench().do("status")
     assert "phi1_rad" not in fresh
     assert (fresh["segment"], fresh["doing"], fresh["progress"]) == (-1, "", 0.0)
 
 
-def test_every_tick_publishes_just_what_the_observer_was_fed(running):
+def test_every_tick_publishes_exactly_the_events_that_the_observer_got(running):
     published = [fields for topic, fields in running.messages if topic.name == "palm/events"]
     assert [event for fields in published for event in events_of(fields)] == running.observer.events
     assert [len(fields["source"]) for fields in published] == [len(times) for times in running.observer.ticks[:-1]]
@@ -401,10 +401,10 @@ AGAINST = 6.0 * (OFF != 0.0)
 
 
 class Improved(Fake):
-    """An observer with a smoother beside it that answers in the third estimate."""
+    """An observer with a smoother that answers in the third estimate."""
 
     def improve(self, _t):
-        told = {
+        result = {
             "t": 0.04,
             "frame": 2,
             "touched": np.ones(72, dtype=bool),
@@ -412,15 +412,15 @@ class Improved(Fake):
             "rig_sd": OFF_SD,
             "contradicted": AGAINST,
         }
-        return improvement(np.arange(3.0), np.eye(3), **told) if len(self.ticks) == 3 else None
+        return improvement(np.arange(3.0), np.eye(3), **result) if len(self.ticks) == 3 else None
 
 
-def test_an_improvement_is_published_in_the_tick_that_heard_it():
+def test_an_improvement_is_published_in_the_tick_that_received_it():
     observer = Improved()
     core = Core(default_config(), observer, AtOnce())
-    told = {t: dict(core.step(t)) for t in (0.01, 0.02, 0.03)}
-    assert [t for t, messages in told.items() if IMPROVEMENT in messages] == [0.03]
-    fields = told[0.03][IMPROVEMENT]
+    by_time = {t: dict(core.step(t)) for t in (0.01, 0.02, 0.03)}
+    assert [t for t, messages in by_time.items() if IMPROVEMENT in messages] == [0.03]
+    fields = by_time[0.03][IMPROVEMENT]
     assert (fields["t_tick_s"], fields["t_s"]) == (0.03, 0.04)
     assert (fields["x"], fields["covariance"]) == ([0.0, 1.0, 2.0], np.eye(3).ravel().tolist())
     assert (fields["frame"], fields["established"], fields["touched"]) == (2, True, [1] * 72)
@@ -429,13 +429,13 @@ def test_an_improvement_is_published_in_the_tick_that_heard_it():
     assert IMPROVEMENT not in dict(core.step(0.04))
 
 
-def test_the_rigs_constants_are_published_when_the_smoother_has_answered_and_each_second():
+def test_rig_constants_are_published_after_each_answer_of_the_smoother_and_every_second():
     config = default_config()
     pads = config.pads.model_copy(update={"palm2": config.pads.palm2.model_copy(update={"zero_sd_mm": 0.1})})
     core = Core(config.model_copy(update={"pads": pads}), Improved(), AtOnce())
-    told = {t: dict(core.step(t)).get(RIG) for t in (0.01, 0.02, 0.03, 0.04, 0.9, 1.03, 1.04)}
-    assert [t for t, fields in told.items() if fields] == [0.01, 0.03, 1.03]
-    first, now, again = (told[t] for t in (0.01, 0.03, 1.03))
+    by_time = {t: dict(core.step(t)).get(RIG) for t in (0.01, 0.02, 0.03, 0.04, 0.9, 1.03, 1.04)}
+    assert [t for t, fields in by_time.items() if fields] == [0.01, 0.03, 1.03]
+    first, now, again = (by_time[t] for t in (0.01, 0.03, 1.03))
     assert (first["pad2_zero_m"], first["contradictions"]) == (0.0, [])
     assert list(first["sd"].values()) == first["prior_sd"] == now["prior_sd"]
     assert now["sd"]["pad2_zero_m"] == 3e-5
@@ -446,21 +446,21 @@ def test_the_rigs_constants_are_published_when_the_smoother_has_answered_and_eac
 
 def test_readings_that_contradict_the_configuration_are_a_fault_that_stops_nothing():
     core = Core(default_config(), Improved(), AtOnce())
-    told = {t: dict(core.step(t)).get(STATE) for t in (0.01, 0.02, 0.03, 0.04)}
+    by_time = {t: dict(core.step(t)).get(STATE) for t in (0.01, 0.02, 0.03, 0.04)}
     heard = {
         code: severity
-        for fields in told.values()
+        for fields in by_time.values()
         if fields
         for code, severity in zip(fields["faults"], fields["severities"], strict=True)
     }
-    assert "rig-contradicted" not in told[0.01]["faults"]
+    assert "rig-contradicted" not in by_time[0.01]["faults"]
     assert heard["rig-contradicted"] == "note"
 
 
 RECORDED = {"bytes": 1000.0, "messages": 10.0, "lost": 0.0, "path": "runs/a.mcap"}
 
 
-def test_a_recorder_is_missed_only_once_it_has_been_heard(ready):
+def test_a_recorder_is_reported_silent_only_after_it_has_been_heard(ready):
     ready.go(5.0)
     assert "recorder" not in ready.do("status")
     ready.do("recorder", **RECORDED)
@@ -475,7 +475,7 @@ def test_a_recorder_is_missed_only_once_it_has_been_heard(ready):
     assert "recorder-silent" not in ready.go(0.1).faults
 
 
-def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
+def test_a_recorder_that_cannot_write_is_reported_and_stops_nothing(running):
     running.do("recorder", **RECORDED, problem="/runs: the disk is full")
     assert running.go(0.1).faults == ["recorder-failed"]
     assert running.state == "tracking"
@@ -487,7 +487,7 @@ def test_a_recorder_that_cannot_write_is_told_and_stops_nothing(running):
 # ---- plans
 
 
-def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
+def test_events_beyond_the_time_budget_wait_for_the_next_tick_in_order(ready):
     core, fed = ready.core, ready.observer.events
     samples = [PalmSample(ready.t + i * 1e-4, (0.8, 1.6)) for i in range(7)]
     core._events = samples[::-1]
@@ -495,13 +495,13 @@ def test_what_there_is_no_time_for_waits_for_the_next_tick_in_its_order(ready):
     counts = []
     for events in (3, 3, 3):
         core.observe(ready.t, Clock(events))
-        told = {topic.name: fields for topic, fields in core.report(ready.t)}["palm/events"]
-        counts.append(len(told["t_sample_s"]))
+        topics = {topic.name: fields for topic, fields in core.report(ready.t)}["palm/events"]
+        counts.append(len(topics["t_sample_s"]))
     assert fed[before:] == samples
     assert counts == [3, 3, 1]
 
 
-def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(tmp_path):
+def test_plan_replaces_the_plan_and_a_bad_plan_changes_nothing(tmp_path):
     ready = Bench(config=default_config().model_copy(update={"plan": tmp_path / "swing.yaml"})).go(1.0)
     good, bad, outside = tmp_path / "good.yaml", tmp_path / "bad.yaml", tmp_path.parent / "outside.yaml"
     for path in (good, outside):
@@ -516,7 +516,7 @@ def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(tmp_path):
     assert ready.go(0.05).last("palm/motion")["plan"] == "other"
 
 
-def test_a_plan_may_come_along(ready):
+def test_a_plans_text_may_be_sent_with_the_command(ready):
     text = "name: sent\nsegments:\n  - {hold_s: 1.0}\n"
     assert ready.do("plan", path="/nobody/here.yaml", text=text)["plan"] == "sent"
     far = text.replace("hold_s: 1.0", "move: {phi1_deg: 170}, duration_s: 2.0")
@@ -525,7 +525,7 @@ def test_a_plan_may_come_along(ready):
     assert ready.go(0.05).last("palm/motion")["plan"] == "sent"
 
 
-def test_without_a_plan_start_says_so():
+def test_start_without_a_plan_is_refused():
     bench = Bench(spec=None).go(0.5)
     bench.do("arm")
     assert "there is no plan" in bench.ask("start").error
@@ -534,44 +534,48 @@ def test_without_a_plan_start_says_so():
 EXPLORE = PlanSpec.model_validate({"name": "explore", "segments": [{"explore": {"time_limit_s": 2.0}}]})
 
 
-def test_a_plan_that_explores_needs_somebody_to_decide():
+def test_a_plan_that_explores_needs_an_explorer():
     bench = Bench(spec=EXPLORE).go(0.5)
     bench.do("arm")
     assert "set observer.primary to shape" in bench.ask("start").error
     assert bench.state == "tracking"
 
 
-def test_an_exploration_tells_how_it_ends_and_may_be_started_again():
-    nobody = Mute()
-    bench = Bench(spec=EXPLORE, explorer=nobody).go(0.5)
-    assert nobody.prepared
+def test_an_exploration_reports_its_end_and_may_be_started_again():
+    mute = Mute()
+    bench = Bench(spec=EXPLORE, explorer=mute).go(0.5)
+    assert mute.prepared
     assert "explored" not in bench.do("status")
     bench.do("arm")
     before = None
     for _ in range(2):
         bench.do("start")
-        assert bench.core.supervisor.plan.trajectory is not before  # each start explores anew
+        assert bench.core.supervisor.plan.trajectory is not before  # each start is a new exploration
         before = bench.core.supervisor.plan.trajectory
         bench.go(1.0)
         status = bench.do("status")
         assert (status["doing"], status["over"]) == ("explore", False)
-        told = bench.last("palm/state")
-        assert (told["running"], told["exploring"], told["coverage_goal"]) == (True, True, 0.95)
+        published = bench.last("palm/state")
+        assert (published["running"], published["exploring"], published["coverage_goal"]) == (True, True, 0.95)
         bench.go(1.5 + OVERTIME_S)
         status = bench.do("status")
         assert status["explored"] == {"coverage": None, "reachable": None, "reason": "the time limit of 2 s is over"}
         assert (status["moving"], status["over"]) == (False, True)
         assert status["state"] == "tracking"
-        told = bench.last("palm/state")
-        assert (told["running"], told["exploring"], told["reason"]) == (False, False, "the time limit of 2 s is over")
-        assert told["explored_s"] > 2.0
+        published = bench.last("palm/state")
+        assert (published["running"], published["exploring"], published["reason"]) == (
+            False,
+            False,
+            "the time limit of 2 s is over",
+        )
+        assert published["explored_s"] > 2.0
     bench.do("jog", phi1_deg=0.3)
-    assert not bench.go(0.15).last("palm/state")["running"]  # that is no plan
+    assert not bench.go(0.15).last("palm/state")["running"]  # a jog is no plan
 
 
-def test_an_explorer_that_is_silent_is_told():
-    nobody = Mute()
-    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=nobody)
+def test_a_silent_explorer_is_reported():
+    mute = Mute()
+    bench = Bench(spec=EXPLORE.model_copy(update={"segments": [ExploreSpec(explore=ExploreGoal())]}), explorer=mute)
     bench.observer.valid = True
     bench.go(0.5).do("arm")
     bench.do("start")
@@ -579,7 +583,7 @@ def test_an_explorer_that_is_silent_is_told():
     assert bench.faults == []
     bench.go(1.0)
     assert bench.faults == ["explorer-silent"]
-    assert nobody.asked == 0  # there is no outlook
+    assert mute.asked == 0  # there is no belief for planning
     bench.do("stop")
     assert bench.go(0.1).faults == []
 
@@ -595,7 +599,7 @@ def test_a_note_is_published_with_its_time():
     ]
 
 
-def test_a_new_object_is_begun_when_somebody_says_so():
+def test_new_object_makes_the_observer_forget_the_object():
     bench = Bench().go(0.2)
     bench.do("new_object")
     assert bench.observer.forgotten
@@ -623,10 +627,10 @@ def test_a_lost_pad_holds_the_motion_within_100_ms(running, trick, how, fault):
     assert running.go(0.2).commanded() == here
     running.check_the_arm()
     running.do("stop")
-    assert fault not in running.go(0.05).faults  # what is not moved cannot be missed
+    assert fault not in running.go(0.05).faults  # palms at rest need no object
 
 
-def test_an_object_that_is_missed_is_missed_until_it_is_back_or_the_palms_are_stopped_whatever_plan_is_in_hand(running):
+def test_a_missing_object_blocks_any_plan_until_it_is_back_or_the_palms_are_stopped(running):
     running.play("lift")
     running.go(0.3, lambda: running.state == "hold")
     running.go(0.5).do("plan", path="sent.yaml", text=LIFTED)
@@ -639,7 +643,7 @@ def test_an_object_that_is_missed_is_missed_until_it_is_back_or_the_palms_are_st
     assert running.state == "tracking"
 
 
-def test_a_pad_unplugged_holds_at_once_and_goes_on_only_when_asked(running):
+def test_an_unplugged_pad_holds_at_once_and_motion_resumes_only_on_command(running):
     running.unplug("pad1")
     running.go(0.02)
     assert running.state == "hold"
@@ -648,14 +652,14 @@ def test_a_pad_unplugged_holds_at_once_and_goes_on_only_when_asked(running):
     running.plug("pad1")
     running.go(0.3)
     assert (running.state, running.faults) == ("hold", [])
-    told = running.last("palm/state")
-    assert told["cause"].startswith("the serial port of pad 1 is not open")  # though it has been again for long
-    assert 0.15 < told["since_s"] < 0.45
+    published = running.last("palm/state")
+    assert published["cause"].startswith("the serial port of pad 1 is not open")  # though it is open again
+    assert 0.15 < published["since_s"] < 0.45
     running.do("start")
     assert running.state == "tracking"
 
 
-def test_the_observer_is_told_that_a_pad_is_gone(running):
+def test_the_observer_gets_a_lift_event_for_an_unplugged_pad(running):
     running.unplug("pad2")
     running.go(0.02)
     lifts = [event for event in running.observer.events if isinstance(event, PadLift)]
@@ -672,7 +676,7 @@ def test_palms_may_be_armed_and_moved_without_an_object(ready):
     assert (ready.state, ready.core.setpoints.moving) == ("tracking", True)
 
 
-def test_an_object_taken_off_standing_palms_holds_nothing(ready):
+def test_an_object_removed_from_resting_palms_holds_nothing(ready):
     ready.do("arm")
     ready.go(0.2)
     ready.play("lift")
@@ -692,7 +696,7 @@ def test_a_pad_unplugged_in_ready_leads_to_idle(ready):
     ("trick", "fault"),
     [("estop", "arm-estop"), ("power_off", "arm-power-off"), ("manual", "arm-manual")],
 )
-def test_what_the_operator_does_at_the_arm_stops_it_until_reset(running, trick, fault):
+def test_an_operators_action_at_the_arm_stops_it_until_reset(running, trick, fault):
     running.play(trick, port="arm", for_s=0.5)
     running.go(0.3)
     assert (running.state, running.faults) == ("fault", [fault])
@@ -707,7 +711,7 @@ def test_what_the_operator_does_at_the_arm_stops_it_until_reset(running, trick, 
     running.go(0.3).check_the_arm()
 
 
-def test_reset_never_speaks_to_a_controller_in_e_stop(running):
+def test_reset_sends_nothing_to_a_controller_in_e_stop(running):
     running.play("estop", port="arm")
     running.go(0.3)
     running.written = b""
@@ -723,7 +727,7 @@ def test_arm_needs_power(ready):
     assert "enable power" in ready.ask("arm").error
 
 
-def test_a_controller_that_answers_all_but_arm_is_given_up_after_a_second(ready, monkeypatch):
+def test_a_controller_that_does_not_answer_arm_is_given_up_after_a_second(ready, monkeypatch):
     ready.go(0.003)  # between two ticks
     host, begun = type(ready.core.arm.host), ready.t
     monkeypatch.setattr(host, "request_tracking", lambda _: monkeypatch.setattr(host, "busy", True))
@@ -735,8 +739,8 @@ def test_a_short_silence_of_the_arm_pauses_the_motion(running):
     running.play("mute", port="arm", for_s=0.11)
     running.messages.clear()
     running.go(0.3)
-    told = [fields for topic, fields in running.messages if topic.name == "palm/state"]
-    assert {(fields["state"], *fields["faults"]) for fields in told} == {
+    states = [fields for topic, fields in running.messages if topic.name == "palm/state"]
+    assert {(fields["state"], *fields["faults"]) for fields in states} == {
         ("tracking",),
         ("tracking", "arm-late"),
     }
@@ -755,7 +759,7 @@ def test_a_lost_arm_link_is_a_fault_and_reset_brings_it_back(running):
     assert "has not answered" in running.ask("reset").error
     running.go(1.5)
     assert running.state == "fault"
-    assert "arm-fault" in running.faults  # the controller gave up by itself, as it should
+    assert "arm-fault" in running.faults  # the controller's own watchdog has expired
     running.do("reset")
     assert (running.state, running.faults) == ("ready", [])
     running.check_the_arm()
@@ -771,7 +775,7 @@ def test_an_arm_port_unplugged_is_a_fault(running):
     assert running.state == "ready"
 
 
-def test_a_controller_that_has_stopped_following(running):
+def test_a_controller_that_has_stopped_following_is_a_fault(running):
     running.play("break", port="arm", for_s=0.1)
     running.go(0.4)
     assert running.state == "fault"
@@ -795,7 +799,7 @@ def test_an_observer_that_raises_stops_the_arm_in_good_order(running, caplog):
     assert running.state == "ready"
 
 
-def test_a_stop_fault_that_latches_before_anybody_has_armed_is_a_fault_until_reset(ready):
+def test_a_stop_fault_before_the_first_arm_stays_a_fault_until_reset(ready):
     ready.observer.failing = True
     ready.go(0.05)
     ready.observer.failing = False
@@ -823,7 +827,7 @@ def test_a_failed_tick_stops_the_arm_at_once(running):
     assert running.last("palm/motion")["arm_state"] == "R"
 
 
-def test_repeated_overruns_stop_a_single_one_does_not(running):
+def test_repeated_overruns_stop_and_a_single_one_does_not(running):
     running.core.overran(running.t, 0.02)
     running.go(0.05)
     assert (running.state, running.faults) == ("tracking", ["loop-overrun"])
@@ -845,7 +849,7 @@ def test_closing_stops_and_waits_for_rest(running):
     assert "palmd is stopping" in running.ask("arm").error
 
 
-def test_closing_while_the_arm_is_being_asked_waits_too(ready):
+def test_closing_waits_for_an_arm_command_in_progress(ready):
     ready.core.handle(Request("arm", id=1), ready.t)
     ready.core.close()
     assert not ready.core.at_rest
@@ -854,22 +858,22 @@ def test_closing_while_the_arm_is_being_asked_waits_too(ready):
     assert ready.last("palm/motion")["arm_state"] == "R"
 
 
-def test_an_arm_that_does_not_answer_is_not_known_to_rest(running):
+def test_an_arm_that_does_not_answer_is_not_considered_at_rest(running):
     running.play("mute", port="arm")
     running.core.close()
     running.go(1.0)
     assert not running.core.at_rest
 
 
-def test_who_never_commanded_is_at_rest(ready):
+def test_an_arm_that_was_never_commanded_is_at_rest(ready):
     ready.core.close()
     assert ready.core.at_rest
 
 
-# ---- what is told and measured
+# ---- what is published and measured
 
 
-def test_every_message_is_as_the_table_says_and_as_often(running):
+def test_every_message_matches_its_table_and_its_rate(running):
     stamp = {"v": 1, "timestamp": 0.0, "mono_ns": 0, "seq": 0}
     counts = {}
     for topic, fields in running.messages:
@@ -880,12 +884,12 @@ def test_every_message_is_as_the_table_says_and_as_often(running):
     assert ticks / 10 <= counts["palm/state"] <= ticks / 10 + 6
 
 
-def test_each_tick_gives_the_observer_its_events_in_the_order_of_their_own_times(running):
+def test_each_tick_feeds_events_in_order_of_their_timestamps(running):
     assert sum(len(times) > 1 for times in running.observer.ticks) > 50
     assert all(times == sorted(times) for times in running.observer.ticks)
 
 
-def test_readings_are_right(running):
+def test_readings_agree_with_the_truth(running):
     truth = running.world.truth()
     contact, motion = running.last("palm/contact"), running.last("palm/motion")
     assert contact["s1_m"] == pytest.approx(truth["s1_m"], abs=2e-3)
@@ -897,7 +901,7 @@ def test_readings_are_right(running):
     assert min(forces) > 0.0
 
 
-def test_the_plans_rates_come_with_the_palms_angles_allowing_for_the_lag(running):
+def test_palm_angles_come_with_the_plans_rates_shifted_by_the_lag(running):
     running.go(2.0)
     assert 0.030 < running.core.arm.lag.lag_s < 0.060
     palms = [event for event in running.observer.events if isinstance(event, PalmSample)][-60:]
@@ -906,12 +910,12 @@ def test_the_plans_rates_come_with_the_palms_angles_allowing_for_the_lag(running
         assert b.rates[0] == pytest.approx(slope, abs=0.05)
 
 
-def test_a_standing_arm_is_told_to_stand(ready):
+def test_an_arm_at_rest_has_zero_rates(ready):
     palms = [event for event in ready.observer.events if isinstance(event, PalmSample)]
     assert (palms[-1].rates[0], palms[-1].accelerations[1]) == (0.0, 0.0)
 
 
-def test_counters_are_told_by_port(running):
+def test_counters_are_reported_by_port(running):
     counters = running.core.counters()
     assert counters["pad1_packets"] > 50
     assert counters["pad1_bytes_discarded"] == 0
@@ -919,7 +923,7 @@ def test_counters_are_told_by_port(running):
     assert counters["arm_setpoints"] > 50
 
 
-def test_garbled_pads_are_told_and_nothing_else(running):
+def test_garbled_pads_are_reported_and_cause_no_other_fault(running):
     running.play("garble", port="pad1", strength=0.3)
     running.go(1.2)
     assert running.state in ("tracking", "hold")
@@ -927,20 +931,20 @@ def test_garbled_pads_are_told_and_nothing_else(running):
     running.check_the_arm()
 
 
-# ---- everything at once
+# ---- random sequences
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
+def test_no_sequence_of_events_sends_the_arm_a_bad_set_point(seed):
     random = Random(seed)
     bench = Bench(seed).go(0.5)
     for _ in range(25):
-        match random.choice(("command", "mischief", "mischief", "plug", "stall", "fail")):
+        match random.choice(("command", "inject", "inject", "plug", "stall", "fail")):
             case "command":
                 name = random.choice(("arm", "start", "start", "hold", "stop", "reset", "jog"))
                 step = random.uniform(-0.5, 0.5)
                 bench.core.handle(Request(name, {"phi1_deg": step} if name == "jog" else {}), bench.t)
-            case "mischief":
+            case "inject":
                 name = random.choice(list(INJECTABLE_FAULTS))
                 bench.play(name, for_s=random.uniform(0.05, 0.3))
             case "plug":
@@ -951,7 +955,7 @@ def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
             case "fail":
                 bench.core.fail(bench.t, RuntimeError("broken"))
         bench.go(random.uniform(0.05, 0.3))
-        if random.random() < 0.7:  # an operator who keeps at it
+        if random.random() < 0.7:  # a persistent operator
             bench.plug(*(set(ENDS) - bench.open))
             for name in ("reset", "arm", "start"):
                 bench.core.handle(Request(name), bench.t)
@@ -963,7 +967,7 @@ def test_whatever_happens_the_arm_gets_no_bad_set_point(seed):
 # ---- the log
 
 
-def test_the_log_tells_who_did_what_and_what_came_of_it(running):
+def test_the_log_records_who_sent_which_command_and_its_result(running):
     running.core.handle(Request("hold", who="ann"), running.t)
     running.go(0.5)
     running.core.handle(Request("jog", {"phi1_deg": -0.4, "whole_phi1_deg": -90.0}, who="bob"), running.t)
@@ -984,7 +988,7 @@ def test_the_log_tells_who_did_what_and_what_came_of_it(running):
     assert [entry.number for entry in entries] == list(range(len(entries)))
 
 
-def test_a_jog_is_told_once(ready):
+def test_a_jog_is_logged_once(ready):
     ready.do("arm")
     for _ in range(30):
         ready.do("jog", phi1_deg=0.1)
@@ -992,7 +996,7 @@ def test_a_jog_is_told_once(ready):
     assert [entry.name for entry in logged(ready, "command")] == ["arm", "jog"]
 
 
-def test_a_fault_that_stood_for_a_tick_is_told_with_its_cause_after_it_has_gone(running):
+def test_a_fault_of_one_tick_is_logged_with_its_cause(running):
     running.play("mute", port="pad1")
     running.go(0.5, lambda: running.state == "hold")
     running.world.fault_injector.cancel("mute", "pad1")
@@ -1008,28 +1012,28 @@ def test_a_fault_that_stood_for_a_tick_is_told_with_its_cause_after_it_has_gone(
     ] == "tracking -> hold: pad 1 fell silent while the palms moved"
 
 
-def test_the_status_tells_the_last_of_the_log(running):
+def test_the_status_contains_the_last_log_entries(running):
     status = running.do("status")
     entries = entries_of(status["log"])
     assert entries[-1].name == "start"
     assert 0.9 < status["t_s"] - entries[-1].t_s < 1.1
 
 
-def test_the_log_stays_small_whatever_comes(running):
+def test_the_log_has_a_bounded_length(running):
     for i in range(500):
         running.core.handle(Request("plan", {"path": f"{i}.yaml"}, who="x" * 100), running.t)
     running.core.replies()
     assert len(logged(running)) <= 100
 
 
-def test_a_failed_tick_is_told_with_its_error(running):
+def test_a_failed_tick_is_logged_with_its_error(running):
     running.core.fail(running.t, ZeroDivisionError("a defect"))
     (entry,) = logged(running, "fault")
     assert "ZeroDivisionError('a defect')" in entry.text
     assert logged(running, "state")[-1].text.startswith("tracking -> fault: an unexpected error in the control loop")
 
 
-def test_a_pad_that_goes_between_two_ticks_brakes_the_next_set_point(running):
+def test_a_pad_unplugged_between_two_ticks_brakes_the_next_set_point(running):
     running.unplug("pad1")
     assert running.state == "tracking"
     running.core.look(running.t)
@@ -1047,7 +1051,7 @@ def test_a_pad_that_falls_silent_between_two_ticks_brakes_the_next_set_point(run
     assert {type(event) for event in running.observer.events[-2:]} == {PadLift}
 
 
-def test_a_silence_of_a_moment_between_two_ticks_holds_and_tells_why_though_its_faults_never_show(running):
+def test_a_silence_between_two_ticks_holds_with_its_cause_though_no_fault_remains(running):
     held = interrupted(running)
     assert (held["state"], held["faults"], held["requested_state"]) == ("hold", [], "")
     assert re.search(r"pad 1.* \(its last packet is .* old.*\)", held["cause"])
@@ -1060,30 +1064,30 @@ def test_a_silence_of_a_moment_between_two_ticks_holds_and_tells_why_though_its_
 
 
 def interrupted(bench):
-    """What is told of the tick after a host that got no bytes for a moment looked just before they came."""
+    """The state after a host that received no bytes for a moment has checked just before they came."""
     bench.steps += 8 * TICK_STEPS - 2
     bench.core.look(bench.t)
     return bench.go(2 * STEP_S).last("palm/state")
 
 
-def test_whoever_asks_for_a_hold_or_a_stop_is_told_until_somebody_goes_on(running):
-    def wish():
+def test_a_requested_hold_or_stop_is_published_until_the_next_start_or_arm(running):
+    def requested():
         return running.go(0.02).last("palm/state")["requested_state"]
 
     running.unplug("pad1")
-    assert (running.go(0.02).state, wish()) == ("hold", "")
-    running.do("hold")  # it is held already
-    assert wish() == "hold"
+    assert (running.go(0.02).state, requested()) == ("hold", "")
+    running.do("hold")  # in the state hold already
+    assert requested() == "hold"
     running.plug("pad1")
     running.go(0.3).do("start")
-    assert wish() == ""
+    assert requested() == ""
     running.do("stop")
-    assert wish() == "stop"
+    assert requested() == "stop"
     running.go(0.5).do("arm")
-    assert wish() == ""
+    assert requested() == ""
 
 
-def test_looking_between_two_ticks_judges_nothing_else(running, monkeypatch):
+def test_the_check_between_two_ticks_runs_no_other_decision(running, monkeypatch):
     decided = []
     monkeypatch.setattr(running.core, "decide", decided.append)
     running.core.look(running.t)
@@ -1093,7 +1097,7 @@ def test_looking_between_two_ticks_judges_nothing_else(running, monkeypatch):
     assert not decided
 
 
-def test_what_comes_while_the_observer_works_is_kept_for_the_next_tick(running):
+def test_events_that_arrive_while_the_observer_works_wait_for_the_next_tick(running):
     core, begun = running.core, len(running.observer.events)
     core._events = [PadSample(running.t - 0.004 + n * 1e-3, 1, 0.02, 0.5) for n in range(3)]
 
@@ -1125,7 +1129,7 @@ def sent(bench, name, client, lease_s=None, **args):
 
 
 def swung(client, lease_s=None):
-    """A bench whose palms a client has set moving, for ever."""
+    """A bench whose palms a client has set in endless motion."""
     bench = Bench(spec=SWING.model_copy(update={"repeat": "forever"}))
     bench.go(5.0, lambda: bench.state == "ready")
     for name in ("arm", "start"):
@@ -1133,7 +1137,7 @@ def swung(client, lease_s=None):
     return bench.go(2.0, lambda: bench.core.setpoints.moving)
 
 
-def test_after_one_operators_hold_no_other_moves_the_rig_at_any_phase():
+def test_after_an_operators_hold_no_other_client_moves_the_rig():
     bench = swung("a")
     rng = random.Random(5)
     for _ in range(10):
@@ -1159,7 +1163,7 @@ def test_after_one_operators_hold_no_other_moves_the_rig_at_any_phase():
     assert [(entry.name, "took control from b" in entry.text) for entry in taken] == [("taken", True)]
 
 
-def test_a_declared_lease_that_runs_out_holds_the_motion_at_any_phase():
+def test_an_expired_lease_holds_the_motion():
     bench, rng, worst = swung("a", 1.0), random.Random(6), 0.0
     for _ in range(10):
         for _ in range(rng.randrange(4)):
@@ -1179,12 +1183,12 @@ def test_a_declared_lease_that_runs_out_holds_the_motion_at_any_phase():
     bench.check_the_arm()
 
 
-def test_motion_without_a_declared_lease_goes_on_and_is_said_to_be_unattended():
+def test_motion_without_a_declared_lease_continues_and_is_published_as_unattended():
     bench = swung("a")
     bench.go(6.0)
     state = bench.last("palm/state")
     assert (state["control"], state["unattended"], state["state"]) == ("", True, "tracking")
-    assert sent(bench, "alive", "b", 5.0, take=True).error is None  # somebody answers for it from now on
+    assert sent(bench, "alive", "b", 5.0, take=True).error is None  # attended from now on
     bench.go(0.1)
     state = bench.last("palm/state")
     assert (state["control"], state["unattended"]) == ("b", False)

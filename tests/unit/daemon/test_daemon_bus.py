@@ -28,7 +28,7 @@ TIMEOUT_MS = 20_000
 
 
 class Rig:
-    """A bus, and clients of it."""
+    """A bus and its clients."""
 
     def __init__(self, folder):
         self.publish, self.command = f"ipc://{folder}/p", f"ipc://{folder}/c"
@@ -45,7 +45,7 @@ class Rig:
         return socket
 
     def received(self, count=1):
-        """At least `count` requests, as they come."""
+        """At least `count` requests, in order of arrival."""
         requests, t_end = [], time.monotonic() + TIMEOUT_MS / 1e3
         while len(requests) < count and time.monotonic() < t_end:
             requests += self.bus.receive()
@@ -67,7 +67,7 @@ def call(**message):
     return msgpack.packb(message)
 
 
-def test_req_client_gets_its_answer(rig):
+def test_a_req_client_gets_its_answer(rig):
     client = rig.client(zmq.REQ, rig.command)
     client.send(call(id=1, cmd="status"))
     (request,) = rig.received()
@@ -76,7 +76,7 @@ def test_req_client_gets_its_answer(rig):
     assert msgpack.unpackb(client.recv()) == {"id": 1, "ok": True, "result": {"state": "idle"}}
 
 
-def test_dealer_client_gets_its_answer_in_one_frame(rig):
+def test_a_dealer_client_gets_its_answer_in_one_frame(rig):
     client = rig.client(zmq.DEALER, rig.command)
     client.send(call(id="x", cmd="arm"))
     (request,) = rig.received()
@@ -85,7 +85,7 @@ def test_dealer_client_gets_its_answer_in_one_frame(rig):
     assert msgpack.unpackb(frame) == {"id": "x", "ok": False, "error": "arm refused: no"}
 
 
-def test_who_asks_is_what_it_says_of_itself_or_where_it_is(rig):
+def test_a_client_is_named_by_what_it_sends_or_by_its_address(rig):
     client = rig.client(zmq.DEALER, rig.command)
     client.send(call(id=1, cmd="arm", **{"from": "my script"}))
     client.send(call(id=2, cmd="arm"))
@@ -101,7 +101,7 @@ def test_who_asks_is_what_it_says_of_itself_or_where_it_is(rig):
     "frames",
     [[b""], [b"junk"], [b"", b"", b""], [call(cmd="arm"), b"more"], [b"", call(id=9, cmd="fly")]],
 )
-def test_malformed_is_answered_and_goes_no_further(rig, frames):
+def test_a_malformed_request_is_answered_and_not_passed_on(rig, frames):
     client = rig.client(zmq.DEALER, rig.command)
     client.send_multipart(frames)
     deadline = time.monotonic() + TIMEOUT_MS / 1e3
@@ -113,11 +113,11 @@ def test_malformed_is_answered_and_goes_no_further(rig, frames):
     assert fields["error"]
 
 
-def test_a_flood_is_taken_in_portions(rig):
+def test_a_flood_is_read_in_portions(rig):
     client = rig.client(zmq.DEALER, rig.command)
     for i in range(20):
         client.send(call(id=i, cmd="status"))
-    client.send(b"end")  # the socket keeps order: when this one is in, all are
+    client.send(b"end")  # a socket keeps the order: when this message has come, all have
     time.sleep(0.1)
     portions = [rig.bus.receive() for _ in range(6)]
     assert [len(portion) for portion in portions] == [PER_TICK] * 5 + [0]
@@ -125,7 +125,7 @@ def test_a_flood_is_taken_in_portions(rig):
 
 
 def crowded(rig, commands):
-    """Each of these by a client of its own; what is given out in the ticks that follow, by clients' numbers."""
+    """Sends each request from a client of its own; the requests served in the following ticks, by client number."""
     clients = [rig.client(zmq.DEALER, rig.command) for _ in commands]
     for number, (client, command) in enumerate(zip(clients, commands, strict=True)):
         before = rig.bus.counters.commands
@@ -147,7 +147,7 @@ def refusal(client):
     return fields["error"]
 
 
-def test_who_comes_when_too_many_wait_is_refused(rig):
+def test_a_request_to_a_full_queue_is_refused(rig):
     clients, given = crowded(rig, ["arm"] * (MAX_WAITING + 2))
     assert given == [(number, "arm") for number in range(MAX_WAITING)]
     for client in clients[MAX_WAITING:]:
@@ -155,7 +155,7 @@ def test_who_comes_when_too_many_wait_is_refused(rig):
     assert rig.bus.counters.crowded == 2
 
 
-def test_a_stop_overtakes_the_crowd_and_nothing_that_moves_of_it_follows(rig):
+def test_a_stop_overtakes_other_requests_and_moving_ones_are_then_refused(rig):
     clients, given = crowded(rig, [*("arm", "start") * (MAX_WAITING // 2), "stop", "start"])
     assert given[0] == (MAX_WAITING, "stop")
     assert not [name for _, name in given[1:] if name != "start"]
@@ -164,13 +164,13 @@ def test_a_stop_overtakes_the_crowd_and_nothing_that_moves_of_it_follows(rig):
 
 
 @pytest.mark.parametrize(("waits", "comes"), [("hold", "stop"), ("stop", "hold")])
-def test_of_stop_and_hold_none_costs_the_other_its_turn(rig, waits, comes):
+def test_a_queue_full_of_stops_accepts_a_hold_and_vice_versa(rig, waits, comes):
     clients, given = crowded(rig, [waits] * MAX_WAITING + [comes, waits])
     assert given == [*((number, waits) for number in range(MAX_WAITING)), (MAX_WAITING, comes)]
     assert refusal(clients[-1]) == f"{waits} refused: a {waits} is already waiting"
 
 
-def test_who_sends_without_end_does_not_keep_others_waiting(rig):
+def test_a_client_that_sends_without_end_does_not_delay_others(rig):
     greedy, modest = rig.client(zmq.DEALER, rig.command), rig.client(zmq.DEALER, rig.command)
     for number in range(60):
         greedy.send(call(id=number, cmd="status"))
@@ -182,7 +182,7 @@ def test_who_sends_without_end_does_not_keep_others_waiting(rig):
     assert rig.bus.counters.crowded == 0
 
 
-def test_a_message_of_very_many_frames_is_taken_in_portions_and_answered_once(rig):
+def test_a_message_of_very_many_frames_is_read_in_portions_and_answered_once(rig):
     client = rig.client(zmq.DEALER, rig.command)
     client.send_multipart([b""] * 2000)
     client.send(call(id=7, cmd="status"))
@@ -209,7 +209,7 @@ def test_a_message_of_very_many_frames_is_taken_in_portions_and_answered_once(ri
     assert msgpack.unpackb(client.recv_multipart()[-1])["ok"] is False
 
 
-def test_reply_to_nobody_is_lost_and_nothing_else(rig):
+def test_a_reply_to_a_vanished_client_is_dropped(rig):
     client = rig.client(zmq.DEALER, rig.command)
     client.send(call(id=1, cmd="status"))
     (request,) = rig.received()
@@ -218,11 +218,11 @@ def test_reply_to_nobody_is_lost_and_nothing_else(rig):
 
 
 def until_subscribed(client, publish):
-    """A subscription takes a moment to arrive; what came by then waits in the client."""
+    """A subscription takes a moment to arrive; earlier messages wait in the client."""
     wait(lambda: publish() or client.poll(20), "the subscription to arrive", pause_s=0.0)
 
 
-def test_three_frames_as_plotjuggler_reads_them(rig):
+def test_messages_have_the_three_frames_that_plotjuggler_reads(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"palm/")
     until_subscribed(client, lambda: rig.bus.publish(STATE, state_fields("idle", []), 12.5, 1.7e9))
@@ -233,7 +233,7 @@ def test_three_frames_as_plotjuggler_reads_them(rig):
     assert (fields["v"], fields["timestamp"], fields["mono_ns"]) == (1, 1.7e9, 12_500_000_000)
 
 
-def test_each_topic_counts_for_itself(rig):
+def test_each_topic_has_its_own_sequence_number(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")
     until_subscribed(client, lambda: rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0))
@@ -247,7 +247,7 @@ def test_each_topic_counts_for_itself(rig):
     assert seen == [0, 1, 2]
 
 
-def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
+def test_a_subscriber_that_does_not_read_blocks_nothing(rig):
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")
     fields = {"state": "x" * 10_000, "faults": [], "severities": [], "hints": []}
@@ -257,7 +257,7 @@ def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
     assert time.monotonic() - begun < 2.0
 
 
-def test_the_last_messages_leave_before_the_sockets_close(tmp_path, monkeypatch):
+def test_the_last_messages_are_sent_before_the_sockets_close(tmp_path, monkeypatch):
     monkeypatch.setattr(daemon_bus, "LINGER_MS", TIMEOUT_MS)
     rig = Rig(tmp_path)
     client = rig.client(zmq.SUB, rig.publish)
@@ -276,7 +276,7 @@ def test_the_last_messages_leave_before_the_sockets_close(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("key", ["publish", "command"])
-def test_an_address_in_use_is_told_with_its_key(key):
+def test_an_address_in_use_is_reported_with_its_key(key):
     context = zmq.Context()
     socket = context.socket(zmq.REP)
     taken = f"tcp://127.0.0.1:{socket.bind_to_random_port('tcp://127.0.0.1')}"
@@ -286,13 +286,13 @@ def test_an_address_in_use_is_told_with_its_key(key):
     context.destroy(linger=0)
 
 
-def test_an_impossible_address_is_told(tmp_path):
+def test_an_impossible_address_is_reported(tmp_path):
     with pytest.raises(BusError, match=r"bus\.publish: ipc:///no/such/folder/x cannot be bound"):
         Bus("ipc:///no/such/folder/x", f"ipc://{tmp_path}/c")
 
 
 def messages(client, wait_ms=TIMEOUT_MS):
-    """The numbers of all that comes until nothing does."""
+    """The numbers of all messages until none arrives."""
     seqs = []
     while client.poll(200 if seqs else wait_ms):
         seqs.append(msgpack.unpackb(client.recv_multipart()[1])["seq"])
@@ -300,7 +300,7 @@ def messages(client, wait_ms=TIMEOUT_MS):
 
 
 def subscribed(rig):
-    """A client that hears all that leaves from now on, whatever is held back."""
+    """A client that receives every message sent from now on, whatever is held back."""
     client = rig.client(zmq.SUB, rig.publish)
     client.subscribe(b"")
     until_subscribed(client, lambda: rig.bus._publisher.send_multipart((b"", b"", b"")))
@@ -313,8 +313,8 @@ def tick(rig, t=None):
     rig.bus.publish(STATE, {"state": "idle"}, time.monotonic() if t is None else t, 0.0)
 
 
-def test_a_recorder_that_comes_while_all_is_held_back_misses_nothing(rig):
-    """The loop publishes, reads and answers meanwhile; nothing leaves before the recorder has spoken."""
+def test_a_recorder_that_connects_while_messages_are_held_back_misses_none(rig):
+    """Meanwhile the loop publishes, reads and answers; no message is sent before the recorder has connected."""
     rig.bus.buffer_until("recorder", 60.0)
     for _ in range(2 * daemon_bus.BACKLOG_PER_PUBLISH):
         tick(rig)
@@ -332,8 +332,8 @@ def test_a_recorder_that_comes_while_all_is_held_back_misses_nothing(rig):
     assert messages(subscriber) == list(range(2 * daemon_bus.BACKLOG_PER_PUBLISH + 4))
 
 
-def test_what_is_held_back_leaves_a_few_messages_at_a_time(rig):
-    """Else a tick would have to send half a second's."""
+def test_held_back_messages_are_sent_a_few_at_a_time(rig):
+    """Otherwise one tick would have to send the messages of half a second."""
     rig.bus.buffer_until("recorder", 60.0)
     for _ in range(5 * daemon_bus.BACKLOG_PER_PUBLISH):
         tick(rig)
@@ -343,8 +343,8 @@ def test_what_is_held_back_leaves_a_few_messages_at_a_time(rig):
     assert rig.bus.counters.published == 5 * daemon_bus.BACKLOG_PER_PUBLISH + 1
 
 
-def test_nothing_is_held_back_for_longer_than_asked_nor_lost_at_the_end(rig):
-    """From when the addresses were open: what the daemon did meanwhile was time enough."""
+def test_messages_are_held_back_for_a_limited_time_and_not_lost_at_the_end(rig):
+    """The time counts from the opening of the addresses, including the daemon's start."""
     rig.bus._t_open -= 61.0
     subscriber = subscribed(rig)
     rig.bus.buffer_until("recorder", 60.0, since_open=True)

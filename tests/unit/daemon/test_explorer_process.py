@@ -1,4 +1,4 @@
-"""The explorer's own process: it answers what it would without one, never holds the loop up, is started again."""
+"""The explorer's process: it gives the same answers as without one, never blocks the loop, and is restarted."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TASK = ExplorationTask(3, ExploreGoal(), MotionLimits.from_config(LimitsConfig()
 
 
 def question(t: float) -> Question:
-    """One that is answered by rocking, which needs no object."""
+    """A question that is answered by rocking, which needs no object."""
     return Question(t, TASK, None, UnderWay(Move(HERE, HERE, 0.0), 1.0))
 
 
@@ -48,7 +48,7 @@ def process() -> Iterator[ExplorerProcess]:
 
 
 def wait_for(process: ExplorerProcess) -> ExplorationAnswer:
-    """Keep asking until an answer comes."""
+    """Asks until an answer comes."""
     begun = time.monotonic()
     while time.monotonic() - begun < PATIENCE_S:
         t = time.monotonic() - begun
@@ -59,7 +59,7 @@ def wait_for(process: ExplorerProcess) -> ExplorationAnswer:
     raise AssertionError("no answer came")
 
 
-def test_it_answers_what_would_be_decided_without_it(process: ExplorerProcess) -> None:
+def test_the_process_decides_as_the_decider_does(process: ExplorerProcess) -> None:
     got = wait_for(process)
     wanted = Decider(RIG).answer(question(got.t))
     assert (got.run, got.after, got.object_count) == (wanted.run, wanted.after, wanted.object_count)
@@ -68,7 +68,7 @@ def test_it_answers_what_would_be_decided_without_it(process: ExplorerProcess) -
     assert got.decision.move.start == HERE
 
 
-def test_it_rocks_an_unknown_object_only_where_that_lies_well() -> None:
+def test_an_unknown_object_is_rocked_only_in_safe_poses() -> None:
     decider, far = Decider(RIG), (math.radians(125.0), math.radians(45.0))
     moves = [Move(far, far, 0.0)]
     while len(moves) < 10:
@@ -76,11 +76,11 @@ def test_it_rocks_an_unknown_object_only_where_that_lies_well() -> None:
         assert move is not None
         moves.append(move)
     back, rocked = moves[1:7], moves[7:]
-    assert all(move.end[0] < move.start[0] for move in back)  # palm 1 comes up again, step by step
+    assert all(move.end[0] < move.start[0] for move in back)  # palm 1 returns step by step
     assert max(abs(move.end[0] - back[-1].end[0]) for move in rocked) == pytest.approx(math.radians(6.0))
 
 
-def test_it_is_not_started_before_it_is_needed_and_then_once() -> None:
+def test_the_process_starts_once_and_only_when_needed() -> None:
     process = ExplorerProcess(RIG)
     process.ask(question(0.0))
     assert process.collect(0.0) is None
@@ -91,7 +91,7 @@ def test_it_is_not_started_before_it_is_needed_and_then_once() -> None:
     process.close()
 
 
-def test_it_never_waits_for_a_process_that_stands_still_and_the_newest_question_is_answered(
+def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(
     process: ExplorerProcess,
 ) -> None:
     wait_for(process)
@@ -119,9 +119,7 @@ def test_it_never_waits_for_a_process_that_stands_still_and_the_newest_question_
     os.kill(number, signal.SIGCONT)
 
 
-def test_a_process_that_was_killed_is_started_again_and_knows_its_task(
-    process: ExplorerProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_process_is_restarted_with_its_task(process: ExplorerProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     wait_for(process)
     monkeypatch.setattr(worker, "RESTART_S", 0.0)
     assert process._process is not None
@@ -135,7 +133,7 @@ def test_a_process_that_was_killed_is_started_again_and_knows_its_task(
     assert wait_for(process).run == TASK.run
 
 
-def test_one_that_cannot_be_started_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_cannot_be_started_gives_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker.sys, "executable", "/nowhere/python")
     process = ExplorerProcess(RIG)
     process.prepare()
@@ -145,7 +143,7 @@ def test_one_that_cannot_be_started_answers_nothing(monkeypatch: pytest.MonkeyPa
     process.close()
 
 
-def test_closing_ends_it_at_once() -> None:
+def test_closing_ends_the_process_at_once() -> None:
     process = ExplorerProcess(RIG)
     process.prepare()
     assert process._process is not None
@@ -156,7 +154,7 @@ def test_closing_ends_it_at_once() -> None:
 
 
 @pytest.mark.parametrize("length", [83, 84, 200])
-def test_it_is_met_however_long_the_path_of_temporary_files_is(
+def test_the_socket_works_with_a_long_path_of_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
 ) -> None:
     """A Unix socket's path has 107 bytes at most; `/palmd-`, eight letters and `/explorer` come after it."""
@@ -176,7 +174,7 @@ def test_it_is_met_however_long_the_path_of_temporary_files_is(
         assert list(folder.iterdir()) == []
 
 
-def test_of_another_system_it_asks_its_decider() -> None:
+def test_another_system_uses_its_own_decider() -> None:
     process = ExplorerProcess(ThreePalmsRig(), DECIDER)
     process.prepare()
     try:

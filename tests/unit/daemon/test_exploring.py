@@ -1,4 +1,4 @@
-"""The loop's side of an exploration, with somebody else's decisions: what is followed, what is dropped, what stops."""
+"""The loop's side of an exploration with scripted decisions: which are followed, which are dropped, what stops it."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ Decide = Callable[[Question], Decision | None]
 
 
 def onwards(question: Question) -> Decision:
-    """To and fro between two poses, for ever."""
+    """Endless moves between two poses."""
     start = question.under_way.move.end
     step = WAY if start[0] < HERE.angles[0] + 0.5 * WAY else -WAY
     return Decision("move", Move(start, (start[0] + step, start[1]), 0.8), "goes on", coverage=0.5, reachable=0.9)
 
 
 class Scripted:
-    """A source whose decisions a test makes; each is handed out `latency` seconds after its question."""
+    """A scripted explorer; each decision is delivered `latency` seconds after its question."""
 
     def __init__(self, decide: Decide) -> None:
         self.decide = decide
@@ -88,7 +88,7 @@ class Scripted:
 
 
 class Stage:
-    """Set-points that all go out, and an exploration begun in it."""
+    """Set-points that are all sent, and an exploration on them."""
 
     def __init__(self, decide: Decide = onwards, time_limit_s: float = 1000.0) -> None:
         self.poses = make_poses(CONFIG)
@@ -120,7 +120,7 @@ class Stage:
         return PlanningBelief(self.t, np.zeros((1, 21)), np.zeros(72, dtype=bool), np.zeros(72), self.object_count)
 
     def go(self, seconds: float) -> Iterator[PalmMotion]:
-        """Live on; gives the commanded motion of each cycle."""
+        """Runs on; the commanded motion of each cycle."""
         for _ in range(round(seconds / STEP_S)):
             self.steps += 1
             if self.steps % TICK_STEPS == 0:
@@ -133,13 +133,13 @@ class Stage:
                 yield self.motions[-1]
 
     def after(self, seconds: float) -> PalmMotion:
-        """The last motion of so many seconds."""
+        """The last motion after a number of seconds."""
         return list(self.go(seconds))[-1]
 
     def reason(self) -> str:
-        told = self.exploring.summary()
-        assert told is not None
-        return str(told["reason"])
+        status = self.exploring.summary()
+        assert status is not None
+        return str(status["reason"])
 
 
 def moves(motion: PalmMotion) -> bool:
@@ -151,12 +151,12 @@ def stands(stage: Stage, seconds: float = 0.3) -> bool:
     return len({motion.angles for motion in motions}) == 1
 
 
-def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
+def test_moves_follow_each_other_without_rest_and_without_jumps() -> None:
     stage = Stage()
     motions = list(stage.go(8.0))
     resting = [not moves(motion) for motion in motions[round(0.4 / 0.016) :]]
     at_a_time = [len(list(run)) for rests, run in itertools.groupby(resting) if rests]
-    assert max(at_a_time, default=0) <= 1  # the instant between two of them
+    assert max(at_a_time, default=0) <= 1  # the instant between two moves
     rates = [abs(b.angles[0] - a.angles[0]) / 0.016 for a, b in itertools.pairwise(motions)]
     assert 1.7 * WAY / 0.8 < max(rates) < 2.0 * WAY / 0.8
     assert stage.setpoints.interventions == 0
@@ -168,7 +168,7 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     assert stage.exploring.explored.seconds == pytest.approx(8.0, abs=0.1)
 
 
-def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
+def test_questions_follow_a_grid_and_concern_the_last_move_only() -> None:
     stage = Stage()
     list(stage.go(5.0))
     times = [question.t for question in stage.source.questions]
@@ -181,7 +181,7 @@ def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
         assert move.end == move.start or question.under_way.elapsed < move.duration - LEAD_S + 0.02
 
 
-def test_a_long_move_is_looked_at_now_and_then_until_its_end_is_near() -> None:
+def test_a_long_move_is_checked_at_intervals_until_its_end_is_near() -> None:
     def far(question: Question) -> Decision:
         start = question.under_way.move.end
         return Decision("move", Move(start, (start[0] + (0.3 if start[0] < 0.9 else -0.3), start[1]), 4.0))
@@ -195,7 +195,7 @@ def test_a_long_move_is_looked_at_now_and_then_until_its_end_is_near() -> None:
     assert late
 
 
-def test_a_choice_is_asked_for_when_it_is_due_and_only_until_it_is_made() -> None:
+def test_a_choice_is_asked_for_when_due_and_only_until_it_is_made() -> None:
     def in_time(question: Question) -> Decision:
         return onwards(question) if question.choose else Decision("safe")
 
@@ -214,8 +214,8 @@ def test_a_choice_is_asked_for_when_it_is_due_and_only_until_it_is_made() -> Non
     assert stage.reason() == "goes on"
 
 
-def test_short_moves_wait_for_one_decision_each_and_for_nothing_else() -> None:
-    """Of a source that answers one question after the other, as the explorer's process does."""
+def test_short_moves_wait_for_exactly_one_decision_each() -> None:
+    """With an explorer that answers one question after the other, as its process does."""
     begun: list[Move] = []
 
     class Quick:
@@ -237,7 +237,7 @@ def test_short_moves_wait_for_one_decision_each_and_for_nothing_else() -> None:
 
 
 def test_the_newest_decision_counts() -> None:
-    """All but the last answer before a move's end lead elsewhere."""
+    """All answers before a move's end but the last lead elsewhere."""
     stage = Stage()
 
     def wavering(question: Question) -> Decision:
@@ -251,7 +251,7 @@ def test_the_newest_decision_counts() -> None:
     assert all(motion.angles[1] == pytest.approx(HERE.angles[1], abs=1e-9) for motion in stage.go(5.0))
 
 
-def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
+def test_without_decisions_it_finishes_the_move_stops_and_says_why() -> None:
     stage = Stage()
     list(stage.go(0.5))
     stage.source.decide = lambda _: None
@@ -264,7 +264,7 @@ def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
     assert not stage.exploring.silent
 
 
-def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
+def test_a_late_answer_is_dropped_and_counted() -> None:
     stage = Stage()
     stage.source.latency = STALE_S + 0.05
     assert stands(stage, STALE_S + 3.0)
@@ -273,7 +273,7 @@ def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
 
 
 def begun(stage: Stage, seconds: float) -> list[tuple[float, Move]]:
-    """When each move began, of a stretch of so many seconds."""
+    """The start times of the moves in a number of seconds."""
     found: list[tuple[float, Move]] = []
     for _ in stage.go(seconds):
         exploration = stage.setpoints.exploration
@@ -282,8 +282,8 @@ def begun(stage: Stage, seconds: float) -> list[tuple[float, Move]]:
     return found
 
 
-def test_who_decides_slowly_is_asked_sooner_and_followed() -> None:
-    """A busy machine: decisions that take longer than moves are still about where those end."""
+def test_a_slow_explorer_is_asked_earlier_and_followed() -> None:
+    """A busy machine: decisions that take longer than moves still concern the end of the current move."""
     stage = Stage()
     stage.source.latency = 1.5
     times = [t for t, _ in begun(stage, 12.0)]
@@ -294,7 +294,7 @@ def test_who_decides_slowly_is_asked_sooner_and_followed() -> None:
     assert max(gaps) < 1.5 + ASK_S + 0.1
 
 
-def test_two_moves_are_made_of_a_decision_that_palms_would_stand_for() -> None:
+def test_a_decision_gives_two_moves_if_the_palms_would_otherwise_stop() -> None:
     def two(question: Question) -> Decision:
         first = onwards(question).move
         assert first is not None
@@ -312,7 +312,7 @@ def test_two_moves_are_made_of_a_decision_that_palms_would_stand_for() -> None:
     assert slow.exploring.dropped == 0
 
 
-def test_a_decision_about_another_object_or_from_elsewhere_is_not_followed() -> None:
+def test_a_decision_about_another_object_or_from_another_pose_is_not_followed() -> None:
     stage = Stage()
     list(stage.go(0.05))
     stage.object_count = 2
@@ -337,7 +337,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     assert stage.reason() == "it has just started"
 
 
-def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed() -> None:
+def test_an_unsafe_move_is_stopped_on_its_path_and_replaced() -> None:
     stage = Stage()
     list(stage.go(0.6))
     stage.source.decide = lambda _: Decision("unsafe", reason="it would slip")
@@ -354,7 +354,7 @@ def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed(
     assert moves(stage.motions[-1])
 
 
-def test_what_was_said_about_the_move_before_is_not_held_against_the_present_one() -> None:
+def test_a_verdict_on_the_previous_move_does_not_stop_the_current_one() -> None:
     stage = Stage()
     list(stage.go(0.6))
     before = stage.source.questions[-1].under_way.move
@@ -367,7 +367,7 @@ def test_what_was_said_about_the_move_before_is_not_held_against_the_present_one
         assert stage.reason() == "goes on"
 
 
-def test_a_move_not_begun_yet_is_taken_back_when_the_next_answer_says_so() -> None:
+def test_a_pending_move_is_withdrawn_when_the_next_answer_says_so() -> None:
     stage = Stage()
     list(stage.go(0.45))
     assert moves(stage.motions[-1])
@@ -377,7 +377,7 @@ def test_a_move_not_begun_yet_is_taken_back_when_the_next_answer_says_so() -> No
     assert stage.reason() == "nothing is safe"
 
 
-def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
+def test_done_ends_the_exploration_after_the_current_move() -> None:
     stage = Stage()
     list(stage.go(0.5))
     stage.source.decide = lambda _: Decision("done", reason="all that can be reached", coverage=0.96)
@@ -406,7 +406,7 @@ def test_the_time_limit_ends_it() -> None:
     assert stage.reason() == "the time limit of 3 s is over"
 
 
-def test_who_stops_it_is_remembered() -> None:
+def test_the_reason_for_stopping_is_kept() -> None:
     stage = Stage()
     list(stage.go(0.5))
     stage.setpoints.leave()
@@ -414,7 +414,7 @@ def test_who_stops_it_is_remembered() -> None:
     assert stage.reason() == "it was stopped"
 
 
-def test_losing_the_estimate_for_a_moment_changes_nothing_for_longer_drops_the_move() -> None:
+def test_a_short_loss_of_the_estimate_changes_nothing_and_a_long_one_drops_the_move() -> None:
     stage = Stage(lambda question: Decision("move", Move(question.under_way.move.end, (1.2, 1.5), 3.0)))
     list(stage.go(0.5))
     stage.valid = False
@@ -430,7 +430,7 @@ def test_losing_the_estimate_for_a_moment_changes_nothing_for_longer_drops_the_m
     assert moves(stage.after(0.5))
 
 
-def test_a_blind_start_rocks_the_object_gently_until_there_is_an_estimate() -> None:
+def test_without_an_estimate_the_object_is_rocked_gently() -> None:
     stage = Stage()
     decider = Decider(rig_description(CONFIG))
     stage.source.decide = lambda question: (
@@ -450,7 +450,7 @@ def test_a_blind_start_rocks_the_object_gently_until_there_is_an_estimate() -> N
     assert moves(stage.after(0.4))
 
 
-def test_nothing_is_rocked_while_a_pad_feels_nothing() -> None:
+def test_nothing_is_rocked_while_a_pad_is_untouched() -> None:
     stage = Stage()
     stage.valid = stage.touching = False
     assert stands(stage, 4.0)
@@ -458,7 +458,7 @@ def test_nothing_is_rocked_while_a_pad_feels_nothing() -> None:
     assert not stage.exploring.silent
 
 
-def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
+def test_a_hold_drops_the_move_and_start_continues_from_the_held_pose() -> None:
     stage = Stage()
     list(stage.go(0.6))
     stage.tracking = False
@@ -484,7 +484,7 @@ def asked(
     return Question(5.0, task, belief, UnderWay(move, 9.0), choose, sticking)
 
 
-def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known() -> None:
+def test_a_sticking_object_is_made_to_slip_unless_the_smoother_has_confirmed_the_estimate() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
     guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
     for belief in (None, guessed):
@@ -494,16 +494,16 @@ def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known
         assert answer.decision.move is not None
         assert answer.decision.move.start == HERE.angles
     assert decider.answer(asked(stage, guessed, (0.02, 0.02), choose=False)).decision.kind == "safe"
-    told = []
+    answers = []
     for sticking in (None, (0.02, 0.02)):
         decider = Decider(rig_description(CONFIG))
         decider.answer(asked(stage, None, None))
         decider._explorer.decide = lambda *_, **__: Decision("wait", reason="explores")  # type: ignore[method-assign]
-        told.append(decider.answer(asked(stage, stage.look(), sticking)).decision)
-    assert [decision.reason for decision in told] == ["explores", "explores"]
+        answers.append(decider.answer(asked(stage, stage.look(), sticking)).decision)
+    assert [decision.reason for decision in answers] == ["explores", "explores"]
 
 
-def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
+def test_an_object_with_a_corner_is_tipped_whatever_the_later_belief() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
     guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
     for belief, cornered in ((guessed, True), (None, False), (guessed, False)):
@@ -515,7 +515,7 @@ def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
         assert decider.answer(replace(question, choose=False)).decision.kind == "safe"
     first, ends = tip(HERE.angles, None, LIMITS), []
     assert first is not None
-    for here in (first.at(1.0).angles, first.end):  # stopped on its way, and arrived
+    for here in (first.at(1.0).angles, first.end):  # stopped on its path, and arrived
         decision = decider.answer(replace(question, under_way=UnderWay(Move(here, here, 0.0), 9.0))).decision
         assert decision.move is not None
         ends.append(decision.move.end)
@@ -524,7 +524,7 @@ def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
     assert "corners" not in decider.answer(other).decision.reason
 
 
-def test_that_a_corner_was_felt_is_passed_on() -> None:
+def test_a_detected_corner_is_passed_to_the_decider() -> None:
     stage = Stage()
     for cornered in (False, True):
         stage.cornered = cornered
@@ -532,7 +532,7 @@ def test_that_a_corner_was_felt_is_passed_on() -> None:
         assert stage.source.questions[-1].cornered == cornered
 
 
-def test_it_goes_from_corner_to_corner_each_once() -> None:
+def test_tipping_visits_each_corner_once() -> None:
     stage, decider, here = Stage(), Decider(rig_description(CONFIG)), HERE.angles
     ends = []
     for _ in range(6):
@@ -546,7 +546,7 @@ def test_it_goes_from_corner_to_corner_each_once() -> None:
     assert len(set(ends)) == 4
 
 
-def test_a_move_that_foresaw_nothing_goes_on_though_the_object_is_lost_and_sticking_is_passed_on() -> None:
+def test_a_blind_move_continues_without_an_estimate_and_sticking_is_passed_on() -> None:
     def provoking(question: Question) -> Decision:
         return Decision("move", Move(question.under_way.move.end, (1.2, 1.5), 3.0), "slips", blind=True)
 
@@ -559,7 +559,7 @@ def test_a_move_that_foresaw_nothing_goes_on_though_the_object_is_lost_and_stick
     assert stage.source.questions[-1].sticking == (0.02, 0.03)
 
 
-def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> None:
+def test_an_explorer_without_a_process_answers_a_fixed_time_after_the_question() -> None:
     inline = InlineExplorer(Decider(rig_description(CONFIG)), latency_s=0.3)
     here = HERE.angles
     task = ExplorationTask(1, Stage().spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]

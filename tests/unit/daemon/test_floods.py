@@ -1,6 +1,6 @@
-"""The daemon's bus under floods from real sockets: what a tick takes in and what it works, by counts and shares.
+"""The daemon's bus under floods from real sockets: counts and shares of what a tick reads and of its work.
 
-No figure of the clock's: a busy machine makes floods smaller, and nothing else.
+No test uses absolute time: a busy machine only makes the floods smaller.
 """
 
 import subprocess
@@ -22,7 +22,7 @@ FLOOD = Path(__file__).parents[3] / "tools/flood.py"
 TICK_S = 0.01
 PATIENCE_S = 30.0
 WORK_MOST = 0.2
-"""Of a tick's period, for all that a flood has the loop do: thread time, in the median."""
+"""Limit of the median thread time that a flood may cost the loop, as a share of the tick's period."""
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def address(bus):
 
 @contextmanager
 def flooded(bus, kind, clients=3):
-    """Floods until the end, by processes of their own; begun when the first of them is felt, where it can be."""
+    """Floods by separate processes until the end; begins when the first of them has an effect (if observable)."""
     with ExitStack() as stack:
         for _ in range(clients):
             how = ("--blind", "--stay", "100", "--seconds", "600", "--command", address(bus))
@@ -49,7 +49,7 @@ def flooded(bus, kind, clients=3):
 
 
 def tick(bus):
-    """One tick's dealings with the bus: what came, and how long the thread worked (s)."""
+    """One tick of the bus: the requests, and the thread's working time (s)."""
     begun = time.thread_time()
     requests = bus.receive()
     for request in requests:
@@ -60,7 +60,7 @@ def tick(bus):
 
 
 def until(bus, enough):
-    """Ticks until a request is as wanted; all that came, by ticks."""
+    """Ticks until a request satisfies the condition; all requests by tick."""
     t_end, came = time.monotonic() + PATIENCE_S, []
     while time.monotonic() < t_end:
         came.append(tick(bus)[0])
@@ -80,13 +80,13 @@ def asks(socket, command):
 
 
 @pytest.mark.parametrize("kind", ["commands", "clients"])
-def test_a_tick_takes_in_a_few_and_a_stop_among_thousands_gets_its_turn(bus, kind):
+def test_a_tick_reads_a_few_requests_and_a_stop_among_thousands_is_served(bus, kind):
     with client(bus) as operator:
         asks(operator, "hold")
         until(bus, lambda request: request.name == "hold")
         with flooded(bus, kind):
             until(bus, lambda request: request.name == "status")
-            ticks = [tick(bus) for _ in range(100)]  # by then each has opened what it leaves open
+            ticks = [tick(bus) for _ in range(100)]  # by then each flooder has opened its idle connections
             left = []
             for _ in range(100):
                 before = bus.counters.commands
@@ -95,13 +95,13 @@ def test_a_tick_takes_in_a_few_and_a_stop_among_thousands_gets_its_turn(bus, kin
             asks(operator, "stop")
             waited = until(bus, lambda request: request.name == "stop")
     assert max(len(requests) for requests, _ in ticks) <= PER_TICK
-    assert sum(len(requests) for requests, _ in ticks) >= len(ticks) // 2  # they do come
+    assert sum(len(requests) for requests, _ in ticks) >= len(ticks) // 2  # requests do arrive
     assert median(took for _, took in ticks) < WORK_MOST * TICK_S
-    assert not all(left)  # what came is taken off the socket, where each client that has gone costs 30 kB until then
-    assert len(waited) <= 50  # nothing piles up before it
+    assert not all(left)  # the socket is emptied; until then each vanished client costs 30 kB
+    assert len(waited) <= 50  # no backlog before it
 
 
-def test_connections_that_say_nothing_reach_no_tick(bus):
+def test_silent_connections_reach_no_tick(bus):
     with client(bus) as operator, flooded(bus, "connections"):
         time.sleep(0.5)
         ticks = [tick(bus) for _ in range(100)]

@@ -1,4 +1,4 @@
-"""Whatever a client sends, the limits stay as they were configured, and the arm is never sent out of them."""
+"""No client's command changes the configured limits or moves the arm beyond them."""
 
 import copy
 import math
@@ -66,7 +66,7 @@ commands = st.tuples(
 
 
 def send(bench, command, args):
-    """Through the real parser, as from the socket; then three ticks."""
+    """Sends through the real parser, as from the socket; then three ticks."""
     try:
         request = parse(msgpack.packb({"id": 1, "cmd": command, "args": args}))
     except CommandError:
@@ -83,13 +83,13 @@ def armed(plan=None):
 
 @settings(max_examples=12)
 @given(st.lists(commands, max_size=40), st.sampled_from([(0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]))
-def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
+def test_no_command_changes_or_exceeds_the_limits(sent, push):
     bench = armed()
     limits, before = bench.core.setpoints.limits, copy.deepcopy(bench.core.setpoints.limits)
     for command, args in sent:
         send(bench, command, args)
     bench.ask("arm")
-    for _ in range(80):  # and to the stop, as far as it goes
+    for _ in range(80):  # until the limit
         send(bench, "jog", dict(zip(("phi1_deg", "phi2_deg"), push, strict=True)))
     bench.check_the_arm()
     assert bench.core.setpoints.limits is limits
@@ -97,7 +97,7 @@ def test_no_command_changes_the_limits_or_gets_past_them(sent, push):
 
 
 @pytest.mark.parametrize("what", HOSTILE_PLANS)
-def test_no_plan_changes_the_limits_or_gets_past_them(what):
+def test_no_plan_changes_or_exceeds_the_limits(what):
     bench = armed()
     limits, before = bench.core.setpoints.limits, copy.deepcopy(bench.core.setpoints.limits)
     refused = bench.ask("plan", path="plan.yaml", text=yaml.safe_dump(HOSTILE_PLANS[what])).error
@@ -111,7 +111,7 @@ def test_no_plan_changes_the_limits_or_gets_past_them(what):
     assert limits == before
 
 
-def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for():
+def test_a_first_move_of_zero_duration_takes_the_time_that_the_limits_need():
     bench = armed()
     bench.do("plan", path="plan.yaml", text=yaml.safe_dump({"name": "x", "segments": [AWAY | {"duration_s": 1e-6}]}))
     bench.do("start")
@@ -120,24 +120,24 @@ def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for():
     bench.check_the_arm()
 
 
-def test_a_plan_that_never_ends_to_be_read_is_refused_at_once(tmp_path):
+def test_an_endless_plan_file_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "plan.yaml")
     assert "no such file" in armed(plan=tmp_path / "rock.yaml").ask("plan", path="plan.yaml").error
 
 
 @pytest.mark.parametrize("beside", [True, False])
-def test_the_answer_to_a_plan_that_is_none_does_not_read_out_the_file(tmp_path, beside):
+def test_the_error_about_a_file_that_is_no_plan_does_not_quote_it(tmp_path, beside):
     secret, _ = keys.make_pair(tmp_path, "server")
     hidden = keys.own_credentials(tmp_path).pair.secret.decode()
     bench = armed(plan=tmp_path / "rock.yaml" if beside else tmp_path / "plans" / "rock.yaml")
-    told = bench.ask("plan", path=str(secret)).error
-    assert told
-    assert not any(hidden[i : i + 8] in told for i in range(len(hidden) - 8))
-    assert "key" not in told.replace(str(secret), "")
+    refusal = bench.ask("plan", path=str(secret)).error
+    assert refusal
+    assert not any(hidden[i : i + 8] in refusal for i in range(len(hidden) - 8))
+    assert "key" not in refusal.replace(str(secret), "")
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "/proc/self/environ", "../../../../../../etc/passwd"])
-def test_a_plan_command_reads_out_no_file_of_the_machine(tmp_path, path):
+def test_a_plan_command_reveals_no_other_file(tmp_path, path):
     bench = armed(plan=tmp_path / "rock.yaml")
     refused = "no such file beside the configured plan; palmd ctl plan FILE sends a file from elsewhere"
     assert bench.ask("plan", path=path).error == f"plan refused: {path}: {refused}"

@@ -1,4 +1,4 @@
-"""What `palm/log` tells: once, with its cause, and never without bound."""
+"""`palm/log`: each event is reported once, with its cause, and the length is bounded."""
 
 import math
 
@@ -23,7 +23,7 @@ def lines(journal):
     return [entry.line for entry in journal.entries]
 
 
-def test_the_last_hundred_are_kept_and_counted_on(journal):
+def test_the_last_hundred_entries_are_kept_and_numbered_consecutively(journal):
     for i in range(250):
         journal.t = float(i)
         journal.add("plan", "over", f"the plan {i}")
@@ -32,19 +32,19 @@ def test_the_last_hundred_are_kept_and_counted_on(journal):
     assert journal.count == 250
 
 
-def test_a_flood_of_the_same_is_told_once_a_second(journal):
+def test_repeated_entries_are_logged_once_a_second(journal):
     for i in range(1000):
         journal.t = 0.01 * i
         journal.add("command", "start", "start refused: no", who="ann")
     assert 9 <= journal.count <= 11
 
 
-def test_a_text_has_its_bounds(journal):
+def test_a_text_has_a_bounded_length(journal):
     journal.add("command", "plan", "x" * 100_000)
     assert len(journal.entries[0].text) == 400
 
 
-def test_a_fault_of_one_tick_is_told_with_its_cause_and_how_long_it_stood(journal):
+def test_a_fault_of_one_tick_is_logged_with_its_cause_and_duration(journal):
     notes = FaultNotes(journal)
     for t, active in ((1.0, ()), (1.01, (SILENT,)), (1.02, ())):
         journal.t = t
@@ -57,7 +57,7 @@ def test_a_fault_of_one_tick_is_told_with_its_cause_and_how_long_it_stood(journa
 
 
 @pytest.mark.parametrize(("fault", "most"), [(LATE, 22), (SILENT, 400)])
-def test_a_mild_fault_that_flaps_does_not_push_out_the_rest_a_grave_one_is_told_each_time(journal, fault, most):
+def test_a_flapping_mild_fault_does_not_displace_other_entries_and_a_grave_one_is_always_logged(journal, fault, most):
     notes = FaultNotes(journal)
     for i in range(400):
         journal.t = 0.025 * i
@@ -65,7 +65,7 @@ def test_a_mild_fault_that_flaps_does_not_push_out_the_rest_a_grave_one_is_told_
     assert most // 2 < journal.count <= most
 
 
-def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
+def test_an_objects_start_loss_and_recovery_are_logged(journal):
     notes = ObjectNotes(journal)
 
     def live(seconds, number, valid, untouched=()):
@@ -76,7 +76,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     live(0.5, 0, False)
     live(1.0, 1, False)
     live(1.0, 1, True)
-    live(0.3, 1, False)  # too short to be told
+    live(0.3, 1, False)  # too short to be logged
     live(1.0, 1, True)
     live(2.0, 1, False, (2,))
     live(1.0, 1, True)
@@ -94,7 +94,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     assert "NIS 3.1 (limit 2)" in journal.entries[4].text
 
 
-def test_a_contradicted_constant_is_told_by_name_and_once(journal):
+def test_a_contradicted_constant_is_logged_once_with_its_name(journal):
     notes, against = RigNotes(journal), np.zeros(len(RIG_NAMES))
     notes.look(against, lambda: ["?"])
     against[2] = -5.2
@@ -107,7 +107,7 @@ def test_a_contradicted_constant_is_told_by_name_and_once(journal):
     assert "no longer" in second.text
 
 
-def test_an_exploration_is_told_with_its_goal_and_its_end(journal):
+def test_an_exploration_is_logged_with_its_goal_and_its_end(journal):
     class Goal:
         coverage, time_limit_s = 0.95, 60.0
 
@@ -129,6 +129,6 @@ def test_an_exploration_is_told_with_its_goal_and_its_end(journal):
     assert journal.entries[1].lasted_s == 20.0
 
 
-def test_what_is_published_is_what_is_kept(journal):
+def test_the_published_log_is_the_kept_one(journal):
     journal.add("state", "hold", "tracking -> hold: hold, by ann", who="ann")
     assert repr(entries_of(log_fields(journal.entries))) == repr(journal.entries)

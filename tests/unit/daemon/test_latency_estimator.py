@@ -1,4 +1,4 @@
-"""The lag tracker on motions whose lag is known."""
+"""The latency estimator on motions with known lag."""
 
 import math
 
@@ -21,19 +21,19 @@ def swing(t: float, rate_hz: float = 0.4) -> PalmMotion:
     )
 
 
-def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing, free=(), astray=0.0) -> LatencyEstimator:
+def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing, free=(), drift=0.0) -> LatencyEstimator:
     tracker, random = LatencyEstimator(), np.random.default_rng(1)
     for i in range(round(seconds / CYCLE)):
         t = i * CYCLE
         tracker.sent(t, motion(t))
         now = motion(t - lag)
         phi1, phi2 = now.angles + random.normal(0.0, noise, 2)
-        tracker.observe(t + 0.001, (phi1, phi2 + astray * t), free)
+        tracker.observe(t + 0.001, (phi1, phi2 + drift * t), free)
     return tracker
 
 
 @pytest.mark.parametrize("within_s", [0.01, 0.04])
-def test_extremes_are_those_of_what_was_commanded_around(within_s):
+def test_extremes_are_those_of_the_commanded_motion_around_the_time(within_s):
     tracker = LatencyEstimator()
     for i in range(20):
         tracker.sent(i * CYCLE, swing(i * CYCLE, rate_hz=4.0))
@@ -47,17 +47,17 @@ def test_extremes_are_those_of_what_was_commanded_around(within_s):
 
 
 @pytest.mark.parametrize("lag", [0.005, 0.03, 0.055, 0.09])
-def test_finds_the_lag_while_moving(lag):
+def test_the_lag_is_found_while_moving(lag):
     # observed 1 ms after the set-point, which does not count as lag
     assert run(lag, 6.0).lag_s == pytest.approx(lag + 0.001, abs=1.5e-3)
 
 
-def test_a_joint_that_is_free_to_go_elsewhere_tells_nothing():
-    assert run(0.03, 6.0, free=(1,), astray=0.05).lag_s == pytest.approx(0.031, abs=1.5e-3)
-    assert run(0.03, 6.0, astray=0.05).lag_s != pytest.approx(0.031, abs=5e-3)
+def test_a_joint_free_to_move_by_itself_is_ignored():
+    assert run(0.03, 6.0, free=(1,), drift=0.05).lag_s == pytest.approx(0.031, abs=1.5e-3)
+    assert run(0.03, 6.0, drift=0.05).lag_s != pytest.approx(0.031, abs=5e-3)
 
 
-def test_standing_teaches_nothing():
+def test_an_arm_at_rest_leaves_the_lag_unchanged():
     def still(_t: float) -> PalmMotion:
         return PalmMotion.at_rest((0.8, 1.6))
 
@@ -65,11 +65,11 @@ def test_standing_teaches_nothing():
 
 
 @pytest.mark.parametrize("lag", [-0.05, 0.3])
-def test_lag_stays_within_reason(lag):
+def test_the_lag_stays_within_bounds(lag):
     assert 0.0 <= run(lag, 6.0).lag_s <= LONGEST_S
 
 
-def test_motion_is_the_commanded_one_a_lag_ago():
+def test_the_motion_is_that_commanded_one_lag_ago():
     tracker = LatencyEstimator()
     for i in range(20):
         tracker.sent(i * CYCLE, swing(i * CYCLE))
@@ -80,14 +80,14 @@ def test_motion_is_the_commanded_one_a_lag_ago():
     assert meant.rates[1] == pytest.approx(expected.rates[1], abs=1e-3)
 
 
-def test_after_the_last_set_point_it_holds_and_before_the_first_there_is_none():
+def test_after_the_last_set_point_the_motion_holds_and_before_the_first_there_is_none():
     tracker = LatencyEstimator()
     tracker.sent(1.0, swing(1.0))
     assert tracker.motion(5.0) == swing(1.0)
     assert tracker.motion(1.0 + START_S - 1e-6) is None
 
 
-def test_forgetting_keeps_the_lag():
+def test_forgetting_the_motion_keeps_the_lag():
     tracker = run(0.07, 6.0)
     lag = tracker.lag_s
     tracker.forget()

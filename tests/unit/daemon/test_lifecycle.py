@@ -5,7 +5,7 @@ import pytest
 from palmd.daemon.lifecycle import COMMANDED, TRANSITIONS, State, Trigger, next_state
 
 
-def test_only_a_granted_arm_leads_to_a_commanded_arm():
+def test_only_a_granted_arm_command_leads_to_a_commanded_arm():
     ways_in = {
         trigger for (state, trigger), after in TRANSITIONS.items() if after in COMMANDED and state not in COMMANDED
     }

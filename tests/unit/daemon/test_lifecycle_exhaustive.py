@@ -1,4 +1,4 @@
-"""Every state that the shipped supervisor can come to, and every way on from each: `abstract_rig` says what of."""
+"""Every state that the supervisor can reach, and every transition from it: `abstract_rig` defines the events."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -10,14 +10,14 @@ from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.faults import FAULTS, FaultMonitor
 from palmd.harness.rules import Rules
 
-pytestmark = pytest.mark.timeout(3600)  # a busy machine takes its time over half a million ticks
+pytestmark = pytest.mark.timeout(3600)  # a busy machine needs long for half a million ticks
 
 FEW = ("arm", "start", "stop", "reset", "hold")
 
 
 @dataclass
 class Node:
-    """A state of rig and daemon, as far as anything depends on it, and where its happenings lead."""
+    """A state of rig and daemon, as far as behaviour depends on it, and the transitions from it."""
 
     state: State
     moving: bool
@@ -31,7 +31,7 @@ class Node:
 
 
 def explored(rig, *commands):
-    """All nodes that `rig` can come to, itself the first."""
+    """All nodes that `rig` can reach, itself the first."""
     keys, nodes, waiting = {}, [], deque()
 
     def number(rig):
@@ -58,7 +58,7 @@ def explored(rig, *commands):
 
 
 def reached(nodes, start, without):
-    """What can be reached from some nodes while these happenings do not come."""
+    """The nodes that can be reached from some nodes without these events."""
     found, waiting = {*start}, [*start]
     while waiting:
         for name, after in nodes[waiting.pop()].ways.items():
@@ -78,11 +78,11 @@ def test_every_state_of_the_lifecycle_is_reached(nodes):
     assert len(nodes) > 3000
 
 
-def test_no_way_breaks_a_rule(nodes):
+def test_no_transition_breaks_a_rule(nodes):
     assert [what for node in nodes for what in node.broken] == []
 
 
-def test_nothing_follows_without_arm_and_nothing_moves_without_start_or_jog(nodes):
+def test_the_arm_follows_only_after_arm_and_moves_only_after_start_or_jog(nodes):
     at_rest = [n for n, node in enumerate(nodes) if node.state in (State.IDLE, State.FAULT) and not node.moving]
     arming = {n for n in at_rest if any(nodes[after].state in COMMANDED for after in nodes[n].ways.values())}
     assert not arming  # neither idle nor fault is one step from an arm that follows
@@ -90,25 +90,25 @@ def test_nothing_follows_without_arm_and_nothing_moves_without_start_or_jog(node
     assert not any(node.moving for node in reached(nodes, [0], {"start", "jog"}))
 
 
-def test_stop_is_possible_everywhere_and_ends_everything(nodes):
+def test_stop_is_possible_everywhere_and_ends_every_motion(nodes):
     for node in nodes:
         assert node.granted["stop"]
         after = nodes[node.ways["stop"]]
         assert after.state not in COMMANDED
-        if after.retreating:  # from an arm that does not move the set-point is taken back first
+        if after.retreating:  # from an arm that does not move the set-point is first withdrawn
             after = nodes[after.ways["tick"]]
         assert not after.tracking
         assert not after.moving
 
 
-def test_after_hold_or_stop_nothing_moves_until_it_is_told_anew(nodes):
-    """Not even a start that was given before, and whose plan had to be compiled first."""
+def test_after_hold_or_stop_nothing_moves_without_a_new_command(nodes):
+    """Not even by a start that was given before and waited for its plan to be compiled."""
     after = {node.ways[name] for node in nodes for name in ("hold", "stop") if node.granted[name]}
     still = [number for number in after if not nodes[number].moving]
     assert not any(node.moving for node in reached(nodes, still, {"start", "jog"}))
 
 
-def test_from_everywhere_an_operator_gets_the_palms_to_move_again(nodes):
+def test_an_operator_can_move_the_palms_again_from_every_state(nodes):
     leading = [[] for _ in nodes]
     for number, node in enumerate(nodes):
         for after in node.ways.values():
@@ -123,21 +123,21 @@ def test_from_everywhere_an_operator_gets_the_palms_to_move_again(nodes):
     assert len(found) == len(nodes)
 
 
-def test_after_a_fault_or_a_stop_autostart_starts_nothing_more():
+def test_after_a_fault_or_a_stop_autostart_starts_nothing():
     nodes = explored(Rig(autostart=True), *FEW)
-    assert any(node.running for node in reached(nodes, [0], {"arm", "start"}))  # as it is meant to
+    assert any(node.running for node in reached(nodes, [0], {"arm", "start"}))  # autostart works otherwise
     stopped = {node.ways["stop"] for node in nodes} | {n for n, node in enumerate(nodes) if node.state is State.FAULT}
     assert not any(node.state in COMMANDED for node in reached(nodes, stopped, {"arm"}))
     assert [what for node in nodes for what in node.broken] == []
 
 
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault.latch != "no"], ids=lambda fault: fault.code)
-def test_a_latched_fault_stays_until_reset_and_goes_with_it(fault):
+def test_a_latched_fault_stays_until_reset_and_ends_with_it(fault):
     monitor = FaultMonitor()
     for t in (0.0, fault.debounce_s + 0.01):
         monitor.update({fault.code}, t, armed=True)
     monitor.reset()
-    assert monitor.active == (fault,)  # its cause has not gone
+    assert monitor.active == (fault,)  # its cause persists
     monitor.update(set(), 10.0, armed=True)
     assert monitor.active == (fault,)
     monitor.reset()
@@ -145,7 +145,7 @@ def test_a_latched_fault_stays_until_reset_and_goes_with_it(fault):
     assert fault.clears != "itself"
 
 
-def test_rules_are_broken_by_what_breaks_them():
+def test_violations_of_rules_are_detected():
     rules = Rules(State.READY)
     assert rules.tick([], [(State.READY, State.TRACKING)]) == ["from ready to tracking without a granted arm"]
     assert rules.look(State.TRACKING, [], running=True) == ["a plan runs without a granted start"]

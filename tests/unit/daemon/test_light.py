@@ -1,4 +1,4 @@
-"""What runs on a rig is small: no process of it loads CasADi or SciPy, and the daemon's locked memory is bounded."""
+"""Processes of a rig stay small: none of them loads CasADi or SciPy, and the daemon's locked memory is bounded."""
 
 import subprocess
 import sys
@@ -56,13 +56,13 @@ assert explorer().decide(planning_belief(), STANDING).kind == "move"
 
 @pytest.fixture(scope="module", autouse=True)
 def built():
-    """Whoever builds needs CasADi."""
+    """Builds the models first, because building needs CasADi."""
     for model in (shape_map, smoothing, sensitivity, rollout):
         assert model.library().backend == "c"
     assert shape_map.library(smoothing.ORDER).backend == "c"
 
 
-def told(code, *folders):
+def output_of(code, *folders):
     path = [str(each) for each in folders]
     done = subprocess.run(
         [sys.executable, "-c", f"import sys\nsys.path[:0] = {path}\n{code}\n{HEAVY}"], capture_output=True, text=True
@@ -72,23 +72,23 @@ def told(code, *folders):
 
 
 @pytest.mark.parametrize("name", PROCESSES)
-def test_no_process_loads_what_only_building_needs(name):
-    told(f"import {PROCESSES[name]}")
+def test_no_process_loads_libraries_needed_only_for_building(name):
+    output_of(f"import {PROCESSES[name]}")
 
 
 @pytest.mark.parametrize("code", [A_SMOOTHER, AN_EXPLORER], ids=["smoother", "explorer"])
-def test_nor_does_its_work(code, request):
+def test_working_processes_do_not_load_them_either(code, request):
     tests = request.config.rootpath / "tests"
-    told(code, tests / "helpers", tests / "unit/motion")
+    output_of(code, tests / "helpers", tests / "unit/motion")
 
 
 @pytest.mark.parametrize("name", ["reconstruct", "estimate"])
-def test_an_event_log_needs_nothing_of_configurations_and_recordings(name, tmp_path):
-    told(AN_OFFLINE_COMMAND.format(name=name, folder=str(tmp_path)))
+def test_reading_an_event_log_loads_neither_configuration_nor_recording_modules(name, tmp_path):
+    output_of(AN_OFFLINE_COMMAND.format(name=name, folder=str(tmp_path)))
 
 
 def test_a_daemons_memory_is_bounded():
-    how, _, rss_mb = told(A_DAEMON).strip().rpartition(" ")
+    how, _, rss_mb = output_of(A_DAEMON).strip().rpartition(" ")
     if how != "locked":
         pytest.skip(how)
     assert float(rss_mb) < MOST_MB

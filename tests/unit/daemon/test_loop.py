@@ -1,4 +1,4 @@
-"""The loop on pseudo-terminals and real sockets: its grid, its manners, its end."""
+"""The loop on pseudo-terminals and real sockets: its time grid, its ports, its end."""
 
 import os
 import threading
@@ -33,7 +33,7 @@ PERIOD = 0.01
 
 
 @given(st.floats(0.0, 1e5), st.floats(0.0, 1.0))
-def test_the_grid_goes_on_after_now_and_skips_whole_periods(deadline, behind):
+def test_the_grid_continues_after_now_and_skips_whole_periods(deadline, behind):
     now = deadline + behind
     following, skipped = next_deadline(deadline, now, PERIOD)
     assert now - 1e-9 <= following <= now + PERIOD + 1e-9
@@ -42,14 +42,14 @@ def test_the_grid_goes_on_after_now_and_skips_whole_periods(deadline, behind):
     assert skipped == round(periods) - 1
 
 
-def test_work_that_fits_skips_nothing():
+def test_work_shorter_than_a_period_skips_nothing():
     assert next_deadline(5.0, 5.009, PERIOD) == (pytest.approx(5.01), 0)
     assert next_deadline(5.0, 4.999, PERIOD) == (pytest.approx(5.01), 0)
     assert next_deadline(5.0, 5.021, PERIOD) == (pytest.approx(5.03), 2)
 
 
 class Wires:
-    """A loop in a thread, and the far ends of its wires."""
+    """A loop in a thread, and the far ends of its ports."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -168,7 +168,7 @@ def wires(tmp_path):
     wires.bus.close()
 
 
-def test_from_idle_to_ready_and_to_the_end(wires):
+def test_the_daemon_goes_from_idle_to_ready_and_to_its_end(wires):
     wires.wait_for("ready")
     time.sleep(1.1)
     wires.end()
@@ -185,7 +185,7 @@ def test_from_idle_to_ready_and_to_the_end(wires):
     assert counts["palm/shape"] == 0
 
 
-def test_a_port_that_goes_and_comes_back(wires):
+def test_a_port_that_vanishes_and_returns(wires):
     wires.wait_for("ready")
     wires.unplug("pad1")
     wires.wait_for("idle")
@@ -199,14 +199,14 @@ def raises(*_):
 
 
 @pytest.mark.parametrize("part", ["observer.shape", "core.counters", "core.report"])
-def test_a_tick_that_raises_is_told_once_and_the_operator_is_not_left_blind(wires, caplog, monkeypatch, part):
+def test_a_tick_that_raises_is_reported_once_and_messages_continue(wires, caplog, monkeypatch, part):
     wires.wait_for("ready")
     owner, name = part.split(".")
     with monkeypatch.context() as patch:
         patch.setattr(getattr(wires, owner), name, raises)
         wait(lambda: "tick-error" in wires.call("status")["result"]["faults"], "the error's fault")
-        told = wires.call("status")["result"]["faults"]
-        assert set(told) - {"loop-overrun", "loop-overruns"} == {"tick-error"}  # a slow machine misses deadlines too
+        faults = wires.call("status")["result"]["faults"]
+        assert set(faults) - {"loop-overrun", "loop-overruns"} == {"tick-error"}  # a slow machine misses deadlines too
         assert "arm refused" in wires.call("arm")["error"]
     (error,) = [record for record in caplog.records if record.levelname == "ERROR"]
     assert error.exc_info is not None
@@ -215,14 +215,14 @@ def test_a_tick_that_raises_is_told_once_and_the_operator_is_not_left_blind(wire
 
 
 def _write(master, data):
-    """All of it, as fast as the loop takes it: a terminal holds 4 kB, and a slow machine leaves it full."""
+    """Writes everything as fast as the loop reads it: a terminal holds 4 kB, and a slow machine leaves it full."""
     while data:
         with suppress(BlockingIOError):
             data = data[os.write(master, data) :]
         time.sleep(1e-3)
 
 
-def test_random_bytes_on_every_port_do_nothing(wires):
+def test_random_bytes_on_every_port_have_no_effect(wires):
     wires.wait_for("ready")
     for master in list(wires.masters.values()):
         _write(master, os.urandom(2000))

@@ -1,4 +1,4 @@
-"""The loop between its ticks, on a clock of its own: what comes shortly before a deadline does not delay the tick."""
+"""The loop between its ticks, on a simulated clock: events shortly before a deadline do not delay the tick."""
 
 import math
 from types import SimpleNamespace
@@ -13,15 +13,15 @@ from palmd.daemon.loop import Loop
 from palmd.daemon.systemd import Notifier
 
 PERIOD_S, TICKS = 0.01, 4
-WORK_S = 0.2e-3  # to see to some bytes, or to work out a set-point
-EVENT_S = 2.5e-3  # to take in an event that comes late
-LOOK_S = 2e-6  # to look at the clock
+WORK_S = 0.2e-3  # to process some bytes, or to compute a set-point
+EVENT_S = 2.5e-3  # to process a late event
+LOOK_S = 2e-6  # to read the clock
 
 times = st.floats(0.0, TICKS * PERIOD_S)
 
 
 class World:
-    """Time that goes on only by what is done in it, three wires, and a core that takes its time over their bytes."""
+    """Time that passes only by work, three ports, and a core that needs time for their bytes."""
 
     path, error, is_open = "wire", None, True
     state, at_rest, pads = State.READY, True, {}
@@ -39,7 +39,7 @@ class World:
         return self.now
 
     def __getattr__(self, name):
-        """Whatever else a core and a port are asked for takes no time and gives nothing."""
+        """Any other attribute of a core or a port takes no time and returns nothing."""
         return lambda *_: ()
 
     def wait(self, t_end):
@@ -52,7 +52,7 @@ class World:
         return " ".join(map(repr, come)).encode()
 
     def observe(self, _t, between):
-        """As long as it may: somebody has kept back bytes, and now all come at once."""
+        """Uses all of its time: delayed bytes come all at once."""
         while self.backlog:
             self.backlog -= 1
             self.now += EVENT_S
@@ -78,7 +78,7 @@ class World:
 
 
 def run(world):
-    """Some ticks of a loop in that world; how late each began (s)."""
+    """Runs some ticks of a loop in that world; the delay of each (s)."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "PortWaiter", lambda _ports, _clock: world)
         wires = {"pad1": world, "pad2": world, "arm": world}
@@ -86,21 +86,21 @@ def run(world):
         loop = world.loop = Loop(
             world, wires, bus, Notifier({}), rate_hz=1 / PERIOD_S, backend="", info={}, clock=world.clock
         )
-        loop._t_slow = math.inf  # palm/loop needs more of a core than there is here
+        loop._t_slow = math.inf  # palm/loop needs processor times that are not simulated
         loop.run()
         world.overruns = loop.statistics.overruns
     return [ms * 1e-3 for ms in loop.statistics.fields()["lateness_ms"] if ms]
 
 
 @given(st.lists(times, max_size=15, unique=True), st.lists(times, max_size=3, unique=True))
-def test_a_tick_begins_at_its_deadline_whatever_comes_before(arrivals, setpoints):
+def test_a_tick_begins_at_its_deadline_whatever_precedes_it(arrivals, setpoints):
     late = run(World(arrivals, setpoints))
     assert len(late) > TICKS
     assert max(late) <= 3 * LOOK_S
 
 
 @given(st.lists(times, max_size=15, unique=True), st.lists(times, max_size=3, unique=True))
-def test_every_byte_is_dated_when_it_comes_and_every_set_point_goes_out(arrivals, setpoints):
+def test_every_byte_is_dated_at_its_arrival_and_every_set_point_is_sent(arrivals, setpoints):
     world = World(arrivals, setpoints)
     run(world)
     assert [came for came, _ in world.received] == sorted(arrivals)
@@ -108,7 +108,7 @@ def test_every_byte_is_dated_when_it_comes_and_every_set_point_goes_out(arrivals
     assert len(world.sent) == len(setpoints)
 
 
-def test_a_backlog_is_taken_in_over_several_ticks():
+def test_a_backlog_is_read_over_several_ticks():
     world = World([], [])
     world.backlog = 6
     assert max(run(world)) <= 3 * LOOK_S
@@ -116,14 +116,14 @@ def test_a_backlog_is_taken_in_over_several_ticks():
     assert world.overruns == 0
 
 
-def test_what_comes_in_the_last_moment_is_dated_before_the_tick_and_seen_to_in_it():
+def test_bytes_of_the_last_moment_are_dated_before_the_tick_and_processed_in_it():
     before = 3 * PERIOD_S
     world = World([before - 0.25e-3, before - 0.15e-3], [])
     run(world)
     assert [t - came for came, t in world.received] == pytest.approx([0.0, 0.0], abs=3 * LOOK_S)
 
 
-def test_a_set_point_due_in_the_last_moment_goes_out_at_once_with_the_tick():
+def test_a_set_point_due_in_the_last_moment_is_sent_with_the_tick():
     due = 3 * PERIOD_S - 0.2e-3
     world = World([], [due])
     run(world)

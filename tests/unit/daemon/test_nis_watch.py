@@ -1,4 +1,4 @@
-"""The alarm of an observer whose model is wrong: on the watch's own numbers, and in closed loop."""
+"""The alarm for an observer whose model is wrong: on given numbers, and in closed loop."""
 
 import math
 
@@ -30,14 +30,14 @@ def test_only_a_lasting_mean_outside_the_band_counts(nis, codes):
     assert after(NisDiagnostics(), nis, 4 * NIS_MEMORY_S) == codes
 
 
-def test_a_moment_is_forgiven():
+def test_a_short_excursion_is_ignored():
     watch = NisDiagnostics()
     assert after(watch, 3.0, 0.4) == []
     assert after(watch, 1.0, 3.0, 0.4) == []
 
 
-def test_beginning_anew_does_not_hide_that_the_model_is_wrong():
-    """Each new start begins with a mean of 1 and little weight on the readings, and some ticks say nothing."""
+def test_re_initialisation_does_not_hide_a_wrong_model():
+    """Each restart begins with a mean of 1 and little weight on the readings, and some ticks have no NIS."""
     watch, codes = NisDiagnostics(), []
     for k in range(1000):
         young = k % 100
@@ -46,7 +46,7 @@ def test_beginning_anew_does_not_hide_that_the_model_is_wrong():
     assert codes == [CODE]
 
 
-def test_at_rest_nothing_is_judged():
+def test_at_rest_the_test_is_suspended():
     watch = NisDiagnostics()
     assert after(watch, 0.01, 20.0, moving=False) == []
     assert after(watch, 3.0, 10.0, 20.0) == [CODE]
@@ -64,7 +64,7 @@ def test_at_rest_nothing_is_judged():
         (3, {"palm1": {"sagitta_mm": 1}, "palm2": {"sagitta_mm": -1}}, True),
     ],
 )
-def test_it_comes_when_the_pads_are_not_as_configured_and_else_not(seed, off, alarm):
+def test_the_alarm_is_raised_for_misconfigured_pads_only(seed, off, alarm):
     config = default_config()
     rig = config.rig.model_copy(update={"imperfections": ImperfectionsConfig.model_validate(off)})
     run = TwoPalmsLoop(config.model_copy(update={"rig": rig}), ROCK, seed)

@@ -1,4 +1,4 @@
-"""Who has control: a table of stories, and what holds in every story."""
+"""Who has control: a table of sequences, and properties of every sequence."""
 
 from dataclasses import dataclass, field
 
@@ -35,20 +35,20 @@ class Story:
     [
         ([(A, 0.0, {})], LEASE_S, "a", []),
         ([(A, 0.0, {})], LEASE_S + 0.01, "", []),
-        ([(A, 0.0, {}), (A, 4.0, {"gains": False})], 8.9, "a", []),  # any request renews
+        ([(A, 0.0, {}), (A, 4.0, {"gains": False})], 8.9, "a", []),  # any request renews the lease
         ([(A, 0.0, {}), (B, 4.0, {"gains": False})], 5.1, "", []),  # but only the client's own
         ([(A, 0.0, {}), (B, 1.0, {})], 1.0, "a", []),
         ([(A, 0.0, {}), (B, 5.1, {})], 5.1, "b", []),
         ([(A, 0.0, {"lease_s": 20.0})], 19.9, "a", []),
         ([(A, 0.0, {"lease_s": 20.0})], 20.1, "", ["a"]),
         ([(A, 0.0, {"lease_s": 0.5})], 0.6, "", ["a"]),
-        ([(A, 0.0, {"lease_s": 2.0}), (A, 1.9, {"gains": False})], 3.8, "a", []),  # the declaration holds on
-        ([(A, 0.0, {"lease_s": 2.0, "gains": False}), (A, 1.0, {})], 3.1, "", ["a"]),  # declared before
-        ([(A, 0.0, {"lease_s": 2.0}), (A, 3.0, {})], 7.9, "a", ["a"]),  # and ends with the lease
+        ([(A, 0.0, {"lease_s": 2.0}), (A, 1.9, {"gains": False})], 3.8, "a", []),  # the declaration stays valid
+        ([(A, 0.0, {"lease_s": 2.0, "gains": False}), (A, 1.0, {})], 3.1, "", ["a"]),  # declared in advance
+        ([(A, 0.0, {"lease_s": 2.0}), (A, 3.0, {})], 7.9, "a", ["a"]),  # it ends with the lease
         ([(A, 0.0, {"lease_s": 9.0}), (A, 1.0, {"lease_s": 1.0})], 2.1, "", ["a"]),
     ],
 )
-def test_who_has_control(requests, t, owner, lost):
+def test_control_after_a_sequence_of_requests(requests, t, owner, lost):
     story = Story()
     for client, at, how in requests:
         story.send(client, at, **how)
@@ -56,7 +56,7 @@ def test_who_has_control(requests, t, owner, lost):
     assert (story.control.name, story.lost) == (owner, lost)
 
 
-def test_clients_are_known_by_their_text_else_by_their_connection_and_never_across_keys():
+def test_clients_are_identified_by_their_name_or_connection_and_their_key():
     one, other = (b"\x01one",), (b"\x01two",)
     assert client_of(Request("arm", client="x", route=one)) == client_of(Request("stop", client="x", route=other))
     assert client_of(Request("arm", route=one)) == client_of(Request("stop", route=one))
@@ -66,14 +66,14 @@ def test_clients_are_known_by_their_text_else_by_their_connection_and_never_acro
     assert all(client_of(Request("arm", route=route)).name for route in (None, one))
 
 
-def test_declared_leases_do_not_pile_up():
+def test_declared_leases_do_not_accumulate():
     control = Control()
     control.renew(A, 0.0, 60.0)
     control.gain(A, 0.0)
     for number in range(1000):
         control.renew(client_of(Request("status", client=f"c{number}")), 0.01, 60.0)
     assert len(control._declared) <= 64
-    assert control.attended  # whoever has control is not forgotten for others
+    assert control.attended  # the client in control is never forgotten
 
 
 REQUESTS = st.lists(
@@ -89,7 +89,7 @@ REQUESTS = st.lists(
 
 
 @given(REQUESTS)
-def test_control_is_never_lost_to_another_without_take_hold_or_stop(requests):
+def test_control_changes_only_by_take_hold_or_stop(requests):
     control, t = Control(), 0.0
     heard = {}
     for dt, name, command, lease_s, take in requests:

@@ -1,4 +1,4 @@
-"""Pivoting grasps, rigid and on a slide, closed loop without wires: explored, estimated, and told the same again."""
+"""Pivoting grasps, rigid and on a slide, in closed loop without ports: exploration, estimates, replay."""
 
 import math
 from itertools import pairwise
@@ -52,7 +52,7 @@ class Lived:
             if self.rig.core.setpoints.over:
                 end = min(end, self.rig.t + after_s)
 
-    def told(self, topic):
+    def published(self, topic):
         return [tick.messages[topic] for tick in self.ticks if topic in tick.messages]
 
     def ask(self, command, **args):
@@ -76,7 +76,7 @@ def lived(request):
     return request.getfixturevalue(request.param)
 
 
-def test_what_is_valid_is_right_within_its_band(lived):
+def test_valid_estimates_agree_with_the_truth_within_their_sd(lived):
     slides = lived.config.rig.vertical == "float"
     off = {name: [] for name in ("psi_rad", "omega0_rad_s", "e_m", "f1_n", *(("z_m",) if slides else ()))}
     for tick in lived.ticks:
@@ -87,16 +87,16 @@ def test_what_is_valid_is_right_within_its_band(lived):
     assert len(off["psi_rad"]) > (150 if slides else 100)
     for name, errors in off.items():
         error, sd = np.array(errors).T
-        if name == "psi_rad":  # counted from elsewhere
+        if name == "psi_rad":  # known up to a constant
             error = np.angle(np.exp(1j * (error - np.median(error))))
         assert np.sqrt(np.mean((error / sd) ** 2)) < 3.0, name
-    if slides:  # it passes over the contact
+    if slides:  # the slide passes over the contact
         assert np.sqrt(np.mean(np.square([error for error, _ in off["e_m"]]))) < 2e-4
 
 
-def test_the_outline_is_right_within_its_band(lived):
+def test_the_outline_agrees_with_the_truth_within_its_sd(lived):
     most, covered = (3e-4, 0.15) if lived.config.rig.vertical == "float" else (2e-4, 0.4)
-    shape = lived.told("palm/pivot_shape")[-1]
+    shape = lived.published("palm/pivot_shape")[-1]
     mine = {"theta_rad": shape["theta_rad"], "h_m": shape["hP_m"], "touched": shape["touched"]}
     score = score_shape(mine, lived.rig.world.object_truth()["hP_m"], all_normals=False)
     touched = np.array(shape["touched"]) > 0
@@ -104,8 +104,8 @@ def test_the_outline_is_right_within_its_band(lived):
     assert score.touched > covered
 
 
-def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
-    answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in lived.told("palm/pivot_answer")}
+def test_the_same_readings_give_bit_identical_estimates(lived):
+    answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in lived.published("palm/pivot_answer")}
     assert any(answer.accepted for answer in answers.values())
 
     class Recorded:
@@ -132,8 +132,8 @@ def test_nothing_jams_and_the_force_stays_below_its_limit(rigid):
     assert rigid.rig.core.exploring.summary()["coverage"] == 1.0
 
 
-@pytest.mark.parametrize("seed", [728, 816])  # 3.3 and 2.8 N: set down on the way back, lifted off after the force
-def test_bodies_that_pressed_too_hard_do_not(seed):
+@pytest.mark.parametrize("seed", [728, 816])  # 3.3 and 2.8 N: lowered on the way back, lifted off after the force
+def test_bodies_that_once_pressed_too_hard_stay_below_the_limit(seed):
     rig = PivotLoop(CONFIG, PLAN, seed, period_s=math.inf)
     rig.start()
     while rig.t < 55.0:
@@ -142,41 +142,41 @@ def test_bodies_that_pressed_too_hard_do_not(seed):
     assert 0.5 < rig.world.most_force < CONFIG.limits.force_n
 
 
-def test_both_sides_are_asked_for_in_words(rigid):
+def test_the_operator_is_asked_to_turn_the_object_to_either_side(rigid):
     assert any("towards the pad's beginning" in reason for reason in rigid.reasons)
-    reasons = {fields["reason"] for fields in rigid.told("palm/pivot")}
+    reasons = {fields["reason"] for fields in rigid.published("palm/pivot")}
     assert any("only one side of the dead centre" in reason for reason in reasons)
 
 
-def test_the_truth_of_a_lifted_body_is_how_the_hand_holds_it(rigid):
+def test_the_truth_of_a_lifted_body_follows_the_hand(rigid):
     ticks = [tick.truth for tick in rigid.ticks]
     landed = [(a, b) for a, b in pairwise(ticks) if b["touch1"] and not a["touch1"]]
     assert len(landed) >= 2
     assert all(abs(a["psi_rad"] - b["psi_rad"]) < 0.05 for a, b in landed)
 
 
-def test_every_message_is_as_its_table_says(rigid):
+def test_every_message_matches_its_table(rigid):
     by_name = {topic.name: topic for topic in TOPICS}
     for name in {name for tick in rigid.ticks for name in tick.messages}:
-        for fields in rigid.told(name)[:: max(1, len(rigid.told(name)) // 20)]:
+        for fields in rigid.published(name)[:: max(1, len(rigid.published(name)) // 20)]:
             assert validate(by_name[name], stamp(dict(fields), 1.0, 2.0, 3)) == []
     world = rigid.rig.world
     assert validate(PIVOT_TRUTH, stamp(world.truth(), 1.0, 2.0, 3)) == []
     assert validate(PIVOT_BODY, stamp(world.object_truth(), 1.0, 2.0, 3)) == []
 
 
-def test_jogging_is_refused_in_words(rigid):
+def test_jogging_is_refused_with_a_reason(rigid):
     assert "load a plan with a move" in rigid.ask("jog", phi1_deg=0.5).error
 
 
-def test_the_status_tells_where_the_pivot_is(rigid):
+def test_the_status_contains_the_pivots_position(rigid):
     status = rigid.ask("status").result
     assert 0.0 < status["x_m"] < 0.0555
     assert {"valid", "reason", "z_m", "sd"} <= set(status["estimate"])
 
 
-def test_what_is_pressed_beyond_the_scale_is_over_the_limit():
-    """A pad tells no force at full scale: that is not silence."""
+def test_saturated_pressure_is_a_force_over_the_limit():
+    """A pad measures no force at full scale, which must not count as silence."""
     guard = live_system(CONFIG).force_guard()
     guard.feed(PadSample(0.0, 1, 0.03, 1.5))
     assert list(guard.conditions(under_way=True)) == []
@@ -185,7 +185,7 @@ def test_what_is_pressed_beyond_the_scale_is_over_the_limit():
     assert list(guard.conditions(under_way=True)) == ["force-limit"]
 
 
-def test_the_pad_bears_what_body_and_carriage_weigh(slide):
+def test_the_pad_carries_the_weight_of_body_and_carriage(slide):
     world = slide.rig.world
     weight = (world.grasp.body.mass + slide.config.rig.carriage_mass_kg) * slide.config.rig.gravity_m_s2
     assert world.most_force == pytest.approx(weight, rel=0.1)
@@ -200,11 +200,11 @@ def test_the_arm_reports_the_pivot_and_not_the_stop(slide):
     assert reported > stop + 4e-3
 
 
-def test_a_stop_that_is_lowered_says_nothing_of_how_late_the_arm_follows(slide):
+def test_a_lowered_stop_does_not_change_the_estimated_lag(slide):
     assert slide.rig.core.arm.lag.lag_s == pytest.approx(0.0475, abs=2e-3)
 
 
-def test_what_is_lifted_is_unknown_until_it_is_told_anew(slide):
+def test_a_lifted_body_is_unknown_until_it_is_initialised_again(slide):
     slide.rig.world._lose_contact()
     for _ in range(60):
         tick = slide.rig.tick()

@@ -1,4 +1,4 @@
-"""Plans compiled in a process of their own: ordinary priority, bounds, restarts."""
+"""Plans compiled in a separate process: ordinary priority, bounds, restarts."""
 
 import os
 import pickle
@@ -35,29 +35,29 @@ def asked(compiler, text=TEXT):
     return compiler.submit(partial(plan_in, text, "sent.yaml", LIMITS, None))
 
 
-def test_a_plan_comes_back_and_serves_within_the_callers_limits(compiler):
+def test_a_plan_is_returned_and_obeys_the_callers_limits(compiler):
     plan = outcome(asked(compiler)).result().with_limits(LIMITS)
     assert plan.name == "short"
     assert plan.is_valid_for(LIMITS, (0.5, 1.5))
 
 
-def test_what_is_wrong_with_a_plan_is_said_as_ever(compiler):
+def test_errors_of_a_plan_are_reported_unchanged(compiler):
     with pytest.raises(CompilationError, match=r"sent.yaml:\d+:\d+: "):
         outcome(asked(compiler, TEXT.replace("95", "300"))).result()
 
 
-def test_it_runs_at_ordinary_priority(compiler):
+def test_the_process_runs_at_ordinary_priority(compiler):
     number = compiler._process.number
     assert os.sched_getscheduler(number) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
     assert os.getpriority(os.PRIO_PROCESS, number) >= os.getpriority(os.PRIO_PROCESS, 0)
 
 
-def test_a_plan_after_one_that_nobody_waits_for_any_more(compiler):
+def test_a_plan_is_compiled_after_an_abandoned_one(compiler):
     compiler.submit(partial(time.sleep, 600.0))
     assert outcome(asked(compiler)).result().name == "short"
 
 
-def test_a_stopped_process_is_started_again_and_gets_the_plan(compiler, monkeypatch):
+def test_a_stopped_process_is_restarted_and_gets_the_plan(compiler, monkeypatch):
     monkeypatch.setattr("palmd.daemon.worker.RESTART_S", 0.0)
     wait(lambda: compiler.tend(time.monotonic()) or compiler._process._t_heartbeat < 1e300, "a sign of life")
     os.kill(compiler._process.number, signal.SIGSTOP)
@@ -72,7 +72,7 @@ def spin():
         pass
 
 
-def test_time_and_size_are_bounded(monkeypatch):
+def test_compilation_time_and_plan_size_are_bounded(monkeypatch):
     monkeypatch.setattr(plan_compiler, "MAX_CPU_S", 0.05)
     before = signal.signal(signal.SIGPROF, plan_compiler._raise_timeout)
     try:

@@ -1,4 +1,4 @@
-"""Plans by name: only from the folder of the configured plan, and of what is no plan no word is told."""
+"""Plans by name: only from the folder of the configured plan, and files that are no plans are never quoted."""
 
 import os
 from pathlib import Path
@@ -18,7 +18,7 @@ FAR = "name: far\nsegments:\n  - {move: {phi1_deg: 170}, duration_s: 2.0}\n"
 
 @pytest.fixture
 def etc(tmp_path):
-    """A configuration's folder with plans, and beside it what is nobody's business."""
+    """A configuration's folder with plans, and private files beside it."""
     etc = tmp_path / "etc"
     (etc / "plans" / "old").mkdir(parents=True)
     for path in (etc / "plans/rock.yaml", etc / "plans/old/rock.yaml", etc / "beside.yaml", tmp_path / "outside.yaml"):
@@ -43,26 +43,26 @@ def refusal(etc, name):
 
 
 @pytest.mark.parametrize("name", ["rock.yaml", "plans/rock.yaml", "link.yaml", "./rock.yaml", "../plans/rock.yaml"])
-def test_a_plan_is_found_by_its_name_and_from_the_configurations_folder(etc, name):
+def test_a_plan_is_found_by_its_name_in_the_configurations_folder(etc, name):
     assert plans(etc).load(name, LIMITS, None).name == "rock"
 
 
-def test_what_lies_there_and_can_be_loaded_is_named(etc):
+def test_valid_plans_of_the_folder_are_listed(etc):
     (etc / "plans/key.yaml").write_text("secret: 1\n")
     assert plans(etc).names() == ["far.yaml", "link.yaml", "rock.yaml"]
     assert PlanFolder(None, etc).names() == PlanFolder(etc / "none", etc).names() == []
 
 
-def test_a_plan_is_found_by_its_whole_path(etc):
+def test_a_plan_is_found_by_its_full_path(etc):
     assert plans(etc).load(str(etc / "plans/rock.yaml"), LIMITS, None).name == "rock"
 
 
-def test_a_folder_that_is_a_link_itself_serves(etc, tmp_path):
+def test_a_folder_that_is_a_symbolic_link_works(etc, tmp_path):
     (tmp_path / "current").symlink_to(etc / "plans")
     assert PlanFolder(tmp_path / "current", tmp_path).load("rock.yaml", LIMITS, None).name == "rock"
 
 
-def test_a_plan_that_is_wrong_is_told_with_its_place_under_the_name_it_was_asked_for(etc):
+def test_an_error_in_a_plan_is_reported_with_its_place_under_the_requested_name(etc):
     one, other = refusal(etc, "far.yaml").splitlines()
     assert "far.yaml:3:5: segments.0: phi1 reaches 170°" in one
     assert "far.yaml:3:5: segments.0: phi12 = phi1 + phi2 reaches 260°" in other
@@ -76,12 +76,12 @@ def test_a_plan_that_is_wrong_is_told_with_its_place_under_the_name_it_was_asked
         "way/beside.yaml", "round.yaml", "old", "old/rock.yaml", "pipe.yaml", ".", "..", "/", "x" * 5000, "plans",
     ],
 )  # fmt: skip
-def test_what_is_not_in_the_folder_is_not_opened_and_its_being_there_not_told(etc, name):
+def test_files_outside_the_folder_are_neither_opened_nor_revealed(etc, name):
     expected = "no such file beside the configured plan; palmd ctl plan FILE sends a file from elsewhere"
     assert refusal(etc, name) == f"{name}: {expected}"
 
 
-def test_without_a_configured_plan_there_are_none(etc):
+def test_without_a_configured_plan_there_are_no_named_plans(etc):
     with pytest.raises(ConfigError, match="no such file"):
         PlanFolder(None, etc).load("plans/rock.yaml", LIMITS, None)
 
@@ -101,13 +101,13 @@ NO_PLANS = {
 
 
 @pytest.mark.parametrize("what", NO_PLANS)
-def test_of_what_is_no_plan_no_word_is_told(etc, what):
+def test_a_file_that_is_no_plan_is_not_quoted(etc, what):
     (etc / "plans/other.yaml").write_text(NO_PLANS[what])
-    told = refusal(etc, "other.yaml")
-    assert told == "other.yaml: is not a motion plan; palmd check reports what is wrong with a file"
+    error = refusal(etc, "other.yaml")
+    assert error == "other.yaml: is not a motion plan; palmd check reports what is wrong with a file"
 
 
-def test_of_a_key_no_word_is_told(etc):
+def test_a_key_file_is_not_quoted(etc):
     for path in keys.make_pair(etc / "plans", "server"):
         assert (
             refusal(etc, path.name)
@@ -115,12 +115,12 @@ def test_of_a_key_no_word_is_told(etc):
         )
 
 
-def test_of_bytes_that_are_no_text_nothing_is_told(etc):
+def test_a_binary_file_is_not_quoted(etc):
     (etc / "plans/other.yaml").write_bytes(b"sesame\xff")
     assert "is not a motion plan" in refusal(etc, "other.yaml")
 
 
-def test_a_text_that_was_sent_is_no_secret_to_who_sent_it():
+def test_errors_quote_a_text_that_the_client_has_sent():
     with pytest.raises(ConfigError) as caught:
         plan_in("name: x\nsegmets: 1\n", "mine.yaml", LIMITS, None)
     assert "mine.yaml:2:1: segmets: unknown key; did you mean segments?" in caught.value.errors

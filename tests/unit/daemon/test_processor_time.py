@@ -1,4 +1,4 @@
-"""Who had the processor: read from files as Linux writes them."""
+"""Which process used the processor: read from files as Linux writes them."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def proc(tmp_path):
     return written
 
 
-def test_it_tells_what_was_lost_since_it_was_asked(proc):
+def test_the_time_lost_since_the_last_query_is_reported(proc):
     account = ProcessorTime(proc(5_000_000_000, 100))
     assert account.lost() == ""
     proc(5_021_400_000, 100)
@@ -31,12 +31,12 @@ def test_it_tells_what_was_lost_since_it_was_asked(proc):
     assert account.lost() == ""
 
 
-def test_a_system_that_does_not_say_is_no_error(tmp_path):
+def test_a_system_without_these_files_is_no_error(tmp_path):
     (tmp_path / "stat").write_text("cpu 1 2\n")
     assert ProcessorTime(tmp_path).lost() == ""
 
 
-def test_the_fault_says_who_had_it():
+def test_the_fault_names_the_process_that_used_the_processor():
     loop = LoopDiagnostics()
     loop.overran(1.0, 0.023, "this virtual machine's host withheld its processors for 30 ms")
     assert loop.evidence("loop-overrun").endswith(

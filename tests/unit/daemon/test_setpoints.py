@@ -1,4 +1,4 @@
-"""Set-points and jog: what goes to the arm, and the last guard before it."""
+"""Set-points and jog: what is sent to the arm, and the last guard before it."""
 
 import itertools
 import math
@@ -59,11 +59,11 @@ class Drive:
         return sent
 
 
-def test_stands_where_the_arm_is():
+def test_set_points_start_at_the_arms_position():
     assert all(motion.angles[0] == pytest.approx(HERE.angles[0]) for motion in Drive().go(0.2))
 
 
-def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
+def test_only_a_requested_pose_outside_the_limits_violates_them(monkeypatch):
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.go(1.5)
@@ -74,7 +74,7 @@ def test_only_a_wish_outside_the_limits_violates_them(monkeypatch):
     assert drive.setpoints.violated
 
 
-def test_a_freeze_ends_by_itself_but_not_under_a_hold():
+def test_a_freeze_ends_by_itself_but_not_during_a_hold():
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.go(0.4)
@@ -92,7 +92,7 @@ def test_a_freeze_ends_by_itself_but_not_under_a_hold():
     assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
-def test_a_pause_holds_until_it_ends_and_not_longer_than_a_hold():
+def test_the_end_of_a_pause_does_not_end_a_hold():
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.go(0.4)
@@ -106,7 +106,7 @@ def test_a_pause_holds_until_it_ends_and_not_longer_than_a_hold():
     assert math.degrees(drive.go(3.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
-def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
+def test_a_displaced_arm_returns_at_a_limited_rate_and_then_continues():
     drive = Drive()
     drive.setpoints.start(trajectory())
     before = drive.go(0.5)[-1]
@@ -119,8 +119,8 @@ def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     assert math.degrees(drive.go(4.0)[-1].angles[0]) == pytest.approx(60.0)
 
 
-def test_a_joint_that_need_not_follow_is_displaced_by_nothing():
-    """The pivot on a slide stands millimetres above the stop that is commanded."""
+def test_a_joint_that_need_not_follow_never_counts_as_displaced():
+    """The pivot on a slide stands millimetres above the commanded stop."""
     setpoints = SetPoints(POSES, LIMITS, free=(1,))
     setpoints.stand(HERE, POSES.pose(HERE.angles), 10.0)
     off = PalmMotion.at_rest(tuple(angle + math.radians(2.0) for angle in HERE.angles))
@@ -142,7 +142,7 @@ def test_the_path_waits_for_a_displaced_arm():
     assert drive.setpoints.place.progress > waiting.progress
 
 
-def test_a_twisted_tool_is_turned_back_gently():
+def test_a_twisted_tool_turns_back_at_a_limited_rate():
     drive = Drive()
     twist = math.radians(4.0)
     drive.setpoints.stand(HERE, POSES.pose(HERE.angles, twist), drive.t)
@@ -156,7 +156,7 @@ def test_a_twisted_tool_is_turned_back_gently():
     assert tools[-1] == pytest.approx(tool_of(HERE))
 
 
-def test_outside_the_limits_it_may_not_stand_and_its_noise_is_allowed_for():
+def test_a_pose_outside_the_limits_by_more_than_noise_cannot_be_tracked():
     setpoints = SetPoints(POSES, LIMITS)
     low = LIMITS.angles[0][0]
     assert setpoints.tracking_problems(HERE) == []
@@ -165,7 +165,7 @@ def test_outside_the_limits_it_may_not_stand_and_its_noise_is_allowed_for():
     assert "phi1 falls to 5.9°" in problem
 
 
-def test_outside_the_arms_workspace_nothing_goes():
+def test_set_points_outside_the_arms_workspace_are_not_sent():
     drive = Drive()
     x, y, _ = GEOMETRY.arm_pose(HERE.angles)
     drive.setpoints.leave()
@@ -178,8 +178,8 @@ def test_outside_the_arms_workspace_nothing_goes():
     assert drive.setpoints.violated
 
 
-def test_palms_that_stand_outside_the_arms_workspace_stay_where_they_are():
-    """A wish there is no set-point, and to fall silent would lose the link."""
+def test_palms_that_stand_outside_the_arms_workspace_stay_there():
+    """No set-point can be requested there, and sending none would lose the link."""
     x, y, _ = GEOMETRY.arm_pose(HERE.angles)
     drive = Drive(workspace=Workspace(GEOMETRY, x + 0.01, x + 0.1, y - 0.1, y + 0.1, 2.0, 50.0))
     assert {motion.angles for motion in drive.go(0.1)} == {HERE.angles}
@@ -187,8 +187,8 @@ def test_palms_that_stand_outside_the_arms_workspace_stay_where_they_are():
 
 
 @pytest.mark.parametrize(("axis", "way"), [(0, -1), (0, 1), (1, -1), (1, 1)])
-def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
-    """The other three edges are far: inside along one axis is not inside."""
+def test_set_points_beyond_any_single_edge_of_the_workspace_are_not_sent(axis, way):
+    """The other three edges are far, so only one of them is violated."""
     box = [-9.0, 9.0, -9.0, 9.0]
     here = GEOMETRY.arm_pose(HERE.angles)[axis]
     box[2 * axis + (way > 0)] = here + way * 0.002
@@ -204,7 +204,7 @@ def test_beyond_any_one_edge_of_the_workspace_nothing_goes(axis, way):
     assert drive.setpoints.violated
 
 
-def test_after_leaving_there_is_no_target():
+def test_after_leaving_tracking_there_is_no_target():
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.setpoints.leave()
@@ -225,7 +225,7 @@ def jogged(drive, steps, every=0.048, phi1_deg=0.5):
 
 
 @pytest.mark.parametrize("why", ["frozen", "displaced"])
-def test_a_jog_waits_for_an_arm_that_follows(why):
+def test_a_jog_waits_until_the_arm_follows(why):
     drive = Drive()
     if why == "frozen":
         drive.setpoints.freeze(True)
@@ -236,7 +236,7 @@ def test_a_jog_waits_for_an_arm_that_follows(why):
         drive.setpoints.jog((math.radians(0.5), 0.0), drive.t)
 
 
-def test_jog_moves_while_the_steps_come_and_stops_soon_after():
+def test_a_jog_moves_while_steps_arrive_and_stops_soon_after():
     drive = Drive()
     motions = jogged(drive, 20)
     went = motions[-1].angles[0] - HERE.angles[0]
@@ -248,7 +248,7 @@ def test_jog_moves_while_the_steps_come_and_stops_soon_after():
     assert drive.go(0.5)[-1].angles[0] == after[-1].angles[0]
 
 
-def test_jog_gives_up_its_goal_when_the_steps_cease():
+def test_a_jog_abandons_its_goal_when_the_steps_stop():
     drive = Drive()
     for _ in range(8):
         drive.setpoints.jog((math.radians(0.5), 0.0), drive.t)
@@ -259,14 +259,14 @@ def test_jog_gives_up_its_goal_when_the_steps_cease():
     assert math.degrees(rest.angles[0] - HERE.angles[0]) < 1.9
 
 
-def test_jog_is_gentle():
+def test_a_jog_has_limited_rate_and_acceleration():
     rates = [abs(motion.rates[0]) for motion in jogged(Drive(), 30)]
     assert math.degrees(max(rates)) <= 10.0 + 1e-9
     changes = [abs(b - a) for a, b in itertools.pairwise(rates)]
     assert math.degrees(max(changes)) <= 100.0 * CYCLE + 1e-9
 
 
-def test_jog_reaches_its_goal_and_rests_there():
+def test_a_jog_reaches_its_goal_and_rests_there():
     drive = Drive()
     drive.setpoints.jog((math.radians(0.3), math.radians(-0.1)), drive.t)
     drive.go(0.15)
@@ -276,18 +276,18 @@ def test_jog_reaches_its_goal_and_rests_there():
     assert math.degrees(last.angles[1] - HERE.angles[1]) == pytest.approx(-0.1, abs=1e-6)
 
 
-def test_jog_never_leaves_the_limits():
+def test_a_jog_never_leaves_the_limits():
     drive = Drive(PalmMotion.at_rest((math.radians(7.0), math.radians(90.0))))
     with pytest.raises(MotionError, match="phi1 falls to"):
         jogged(drive, 20, phi1_deg=-0.5)
     assert drive.go(1.0)[-1].angles[0] >= LIMITS.angles[0][0]
 
 
-BOX = Workspace(GEOMETRY, 0.20, 0.40, -0.07, 0.072, 1.0, 10.0)  # the way by (-39, -54) leaves it and comes back
+BOX = Workspace(GEOMETRY, 0.20, 0.40, -0.07, 0.072, 1.0, 10.0)  # the path by (-39, -54) leaves it and returns
 
 
 def jogged_by(drive, way, *, whole):
-    """Steps that add up to a way (rad), `whole` told with the first one or not; the last motion."""
+    """Steps that add up to a path (rad), `whole` declared with the first one or not; the last motion."""
     steps = 150
     for number in range(steps):
         drive.setpoints.jog((way[0] / steps, way[1] / steps), drive.t, way if whole and number == 0 else None)
@@ -298,7 +298,7 @@ def jogged_by(drive, way, *, whole):
 
 @pytest.mark.parametrize("workspace", [None, BOX])
 @pytest.mark.parametrize("way", [(40, 0), (90, 0), (-30, 40), (-39, -54), (-50, 0), (0, -54), (-35, 60), (60, -40)])
-def test_a_jog_is_refused_with_its_first_step_or_goes_all_the_way(workspace, way):
+def test_a_jog_is_refused_at_its_first_step_or_completed(workspace, way):
     drive = Drive(workspace=workspace)
     way = (math.radians(way[0]), math.radians(way[1]))
     try:
@@ -306,14 +306,14 @@ def test_a_jog_is_refused_with_its_first_step_or_goes_all_the_way(workspace, way
     except MotionError:
         assert drive.t == 10.0
         assert drive.go(0.5)[-1] == HERE
-        with pytest.raises(MotionError):  # and rightly so
+        with pytest.raises(MotionError):  # the refusal is correct
             jogged_by(drive, way, whole=False)
     else:
         assert last.angles == pytest.approx((HERE.angles[0] + way[0], HERE.angles[1] + way[1]), abs=1e-6)
         assert drive.setpoints.interventions == 0
 
 
-def test_jog_and_plan_keep_out_of_each_others_way():
+def test_jog_and_plan_exclude_each_other():
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.go(0.3)
@@ -330,13 +330,13 @@ def test_jog_and_plan_keep_out_of_each_others_way():
     assert drive.setpoints.interventions == 0
 
 
-def test_jog_needs_an_arm_that_follows():
+def test_a_jog_needs_an_arm_that_follows():
     with pytest.raises(MotionError, match="does not follow"):
         SetPoints(POSES, LIMITS).jog((0.001, 0.0), 0.0)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.001, CYCLE])
-def test_the_way_back_to_an_arm_that_stands_keeps_the_rate_however_late_a_set_point_is(late_s):
+def test_the_return_to_a_displaced_arm_keeps_the_rate_limit_after_a_late_set_point(late_s):
     drive = Drive()
     drive.setpoints.start(trajectory())
     drive.go(0.8)

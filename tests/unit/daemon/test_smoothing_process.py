@@ -1,4 +1,4 @@
-"""The smoother's own process: it answers, it never holds the loop up, it dies with its parent and is started again."""
+"""The smoother's process: it answers, never blocks the loop, ends with its parent and is restarted."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def number(process: SmootherProcess) -> int:
 
 
 def wait_for(process: SmootherProcess, run: Run) -> Improvement:
-    """Hand the whole run over and keep ticking until an improvement about its end comes back."""
+    """Submits the whole run and ticks until an improvement about its end comes back."""
     begun = time.monotonic()
     process.submit(run.events[-1].t_sample, SESSION, run.events)
     while time.monotonic() - begun < PATIENCE_S:
@@ -63,10 +63,10 @@ def wait_for(process: SmootherProcess, run: Run) -> Improvement:
     raise AssertionError("no improvement came")
 
 
-def test_the_process_answers_what_the_smoother_would(process: SmootherProcess, run: Run) -> None:
+def test_the_process_answers_as_the_smoother_does(process: SmootherProcess, run: Run) -> None:
     smoother = IncrementalSmoother(run.rig)
     smoother.add(SESSION, run.events)
-    with blas.one_thread():  # as in the process: threads add in another order
+    with blas.one_thread():  # as in the process: several threads add in another order
         wanted = smoother.answer()
     got = wait_for(process, run)
     assert wanted is not None
@@ -77,12 +77,12 @@ def test_the_process_answers_what_the_smoother_would(process: SmootherProcess, r
     assert np.array_equal(got.touched, wanted.touched)
 
 
-def test_every_kind_of_event_crosses_unchanged(run: Run) -> None:
+def test_every_kind_of_event_is_transferred_unchanged(run: Run) -> None:
     for event in (run.events[0], run.events[5], PadLift(1.5, 2)):
         assert smoothing.unpacked(smoothing.packed(event)) == event
 
 
-def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess, run: Run) -> None:
+def test_submitting_never_waits_for_a_stopped_process(process: SmootherProcess, run: Run) -> None:
     os.kill(number(process), signal.SIGSTOP)
     try:
         for tick in range(12 * smoothing.HIGH_WATER):
@@ -93,9 +93,7 @@ def test_it_never_waits_for_a_process_that_stands_still(process: SmootherProcess
     assert process.dropped > 0
 
 
-def test_a_process_that_was_killed_is_started_again(
-    process: SmootherProcess, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_process_is_restarted(process: SmootherProcess, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker, "RESTART_S", 0.0)
     process._process._process.kill()
     process._process._process.wait()
@@ -104,7 +102,7 @@ def test_a_process_that_was_killed_is_started_again(
     wait_for(process, run)
 
 
-def test_it_ends_with_its_parent(tmp_path: Path) -> None:
+def test_the_process_ends_with_its_parent(tmp_path: Path) -> None:
     parent = textwrap.dedent(
         """
         import os, sys
@@ -115,8 +113,8 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
         os.kill(os.getpid(), 9)
         """
     )
-    told = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, check=False)
-    child = int(told.stdout)
+    done = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, check=False)
+    child = int(done.stdout)
     begun = time.monotonic()
     while Path(f"/proc/{child}/stat").exists() and time.monotonic() - begun < PATIENCE_S:
         if Path(f"/proc/{child}/stat").read_text(encoding="ascii").split()[2] == "Z":
@@ -126,7 +124,7 @@ def test_it_ends_with_its_parent(tmp_path: Path) -> None:
         assert not Path(f"/proc/{child}").exists()
 
 
-def test_closing_ends_it_at_once(run: Run) -> None:
+def test_closing_ends_the_process_at_once(run: Run) -> None:
     process = SmootherProcess(run.rig)
     begun = time.monotonic()
     process.close()
@@ -136,8 +134,10 @@ def test_closing_ends_it_at_once(run: Run) -> None:
 
 
 @pytest.mark.parametrize("others_s", [0.0, 0.1, 5.0])
-def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.MonkeyPatch, others_s: float) -> None:
-    """An answer costs a second of the processor, and `others_s` more without: the rest of its share is for others."""
+def test_the_process_pauses_to_leave_others_their_share_of_the_processor(
+    monkeypatch: pytest.MonkeyPatch, others_s: float
+) -> None:
+    """An answer costs a second of the processor and `others_s` go to others anyway; pauses make up the rest."""
     paused_s = max(1.0 / smoothing.SHARE - 1.0 - others_s, 0.0)
     clock = Clock(others_s)
     monkeypatch.setattr(smoothing, "worker_socket", clock.worker_socket)
@@ -148,7 +148,7 @@ def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.Monk
     assert second - (first + 1.0 + others_s) == pytest.approx(paused_s, abs=0.06)
 
 
-def test_memory_is_given_back_after_an_answer_and_not_beside_a_thought(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_returned_after_an_answer_and_not_during_one(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, given = Clock(0.0), list[float]()
     monkeypatch.setattr(smoothing, "worker_socket", clock.worker_socket)
     monkeypatch.setattr(smoothing, "time", clock)
@@ -162,7 +162,7 @@ def test_memory_is_given_back_after_an_answer_and_not_beside_a_thought(monkeypat
 
 
 class Clock:
-    """Time and a loop that hands something over every 50 ms, for five seconds of waiting."""
+    """Time, and a loop that submits events every 50 ms, for five seconds of waiting."""
 
     class OverError(Exception):
         """The loop has ended."""
@@ -205,6 +205,6 @@ class Clock:
 
 
 @pytest.mark.parametrize("kind", [RigDescription, PivotRig, ThreePalmsRig])
-def test_a_rig_crosses_unchanged(kind: type) -> None:
+def test_a_rig_is_transferred_unchanged(kind: type) -> None:
     rig = kind(vibration=Vibration("unknown", speed=0.012, speed_sd=0.001))
     assert smoothing.rig_from_json(json.dumps(asdict(rig)), kind) == rig

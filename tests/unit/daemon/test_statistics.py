@@ -1,4 +1,4 @@
-"""Loop statistics against numpy's percentiles."""
+"""Loop statistics against NumPy's percentiles."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ def test_a_summary_agrees_with_numpy(count):
     assert summary(()) == (0.0, 0.0, 0.0)
 
 
-def test_loop_statistics_speak_milliseconds_and_count():
+def test_loop_statistics_are_in_milliseconds_and_count():
     statistics = LoopStatistics(100.0)
-    statistics.tick(7.0, 7.0, 0)  # of the second before
+    statistics.tick(7.0, 7.0, 0)  # of the previous second
     for _ in range(99):
         statistics.tick(1e-4, 1e-3, 0)
     statistics.tick(5e-3, 22e-3, 2)

@@ -27,7 +27,7 @@ def test_start_up_status_and_end(manager):
     assert heard == [b"READY=1", b"STATUS=ready", b"STOPPING=1"]
 
 
-def test_watchdog_is_fed_four_times_per_timeout(manager):
+def test_the_watchdog_is_notified_four_times_per_timeout(manager):
     environment = {
         "NOTIFY_SOCKET": manager.getsockname(),
         "WATCHDOG_USEC": "200000",
@@ -56,7 +56,7 @@ def test_watchdog_is_fed_four_times_per_timeout(manager):
         {"NOTIFY_SOCKET": "nonsense", "WATCHDOG_USEC": "soon"},
     ],
 )
-def test_without_a_manager_nothing_happens(environment):
+def test_without_a_service_manager_nothing_is_sent(environment):
     notifier = Notifier(environment)
     notifier.ready()
     notifier.status("x")
@@ -65,7 +65,7 @@ def test_without_a_manager_nothing_happens(environment):
     notifier.close()
 
 
-def test_a_watchdog_for_another_process_is_not_fed(manager):
+def test_a_watchdog_for_another_process_is_ignored(manager):
     notifier = Notifier({"NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"})
     notifier.healthy(1.0)
     notifier.healthy(9.0)

@@ -1,4 +1,4 @@
-"""The processes beside the loop: their memory is what they use."""
+"""Worker processes return memory that they no longer use."""
 
 import ctypes
 import gc
@@ -11,7 +11,7 @@ from palmd.daemon.worker import release_memory
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="the allocator is not glibc's")
-def test_what_was_freed_between_blocks_still_in_use_is_given_back():
+def test_freed_memory_between_used_blocks_is_returned():
     blocks = [bytes(4000) for _ in range(10_000)]
     kept = blocks[::100]
     del blocks
@@ -21,7 +21,7 @@ def test_what_was_freed_between_blocks_still_in_use_is_given_back():
     assert len(kept) == 100
 
 
-def test_what_only_points_to_itself_is_given_back():
+def test_reference_cycles_are_collected():
     class Knot:
         pass
 

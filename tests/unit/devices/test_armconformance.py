@@ -1,4 +1,4 @@
-"""The arm link's conformance: the emulated controller passes, and each way of breaking it is noticed by name."""
+"""The arm link's conformance test: the emulated controller passes, and each deviation fails its own check."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def test_the_emulated_controller_passes_and_hardly_moves(phase_s):
     assert far_end.controller.state is ArmState.READY
 
 
-def test_standing_checks_start_nothing():
+def test_static_checks_cause_no_motion():
     far_end, talk = FarEnd(), Talk(BAUD)
     for check in CHECKS:
         if not check.tracks:
@@ -38,7 +38,7 @@ def test_standing_checks_start_nothing():
     assert far_end.controller.counters.starts == 0
 
 
-def test_nothing_is_examined_of_a_controller_that_is_not_ready():
+def test_a_controller_that_is_not_ready_is_not_tested():
     class Off(Controller):
         def __init__(self, *arguments):
             super().__init__(*arguments)
@@ -49,13 +49,13 @@ def test_nothing_is_examined_of_a_controller_that_is_not_ready():
     assert "POWER_OFF" in results[2].seen
 
 
-def test_a_large_acceleration_leaves_the_clamp_unexamined(monkeypatch):
+def test_a_large_acceleration_limit_leaves_the_clamp_untested(monkeypatch):
     monkeypatch.setattr("farend.LIMITS", ArmLimits(-0.2, 0.4, -0.3, 0.3, v_max=0.5, a_max=10.0))
     [clamp] = [result for result in outcomes().values() if result.outcome == "not run"]
     assert "5.9 m/s²" in clamp.seen
 
 
-def test_what_a_late_host_has_spoilt_is_made_again():
+def test_a_check_disturbed_by_a_late_host_is_repeated():
     far_end = FarEnd()
     talk = Talk(BAUD)
     results = [far_end.play(examine(check, talk)) for check in CHECKS[:16]]
@@ -68,7 +68,7 @@ def test_what_a_late_host_has_spoilt_is_made_again():
 
 
 class LateHost:
-    """Sleeps for 200 ms where it was to listen for 30, so many times."""
+    """Sleeps for 200 ms instead of listening for 30, a number of times."""
 
     def __init__(self, far_end, times):
         self._far_end, self._times = far_end, times
@@ -89,7 +89,7 @@ class LateHost:
 
 
 class Careless(LineReader):
-    """Takes lines whatever their checksum."""
+    """Accepts lines whatever their checksum."""
 
     def _check(self, raw):
         body = raw.rpartition(b"*")[0]
@@ -125,7 +125,7 @@ class AnswersSuperseded(Controller):
 
 
 class QueuesSetpoints(Controller):
-    """Takes the earlier of two."""
+    """Uses the earlier of two."""
 
     def _execute(self, command, t, actual):
         if isinstance(command, SetPoint) and self._pending is not None:
@@ -133,13 +133,13 @@ class QueuesSetpoints(Controller):
         return super()._execute(command, t, actual)
 
 
-class TellsTwice(Controller):
+class AnnouncesTwice(Controller):
     def _finish_deceleration(self):
         super()._finish_deceleration()
         self._unsolicited *= 2
 
 
-class TellsNothing(Controller):
+class AnnouncesNothing(Controller):
     def _finish_deceleration(self):
         super()._finish_deceleration()
         self._unsolicited = b""
@@ -154,7 +154,7 @@ class FeedsOnRefused(Controller):
 
 
 class ForgetsRepeats(Controller):
-    """Takes a repeated command for a new one."""
+    """Mistakes a repeated command for a new one."""
 
     def _reply(self, _key, reply):
         super()._reply(None, reply)
@@ -169,7 +169,7 @@ class FeedsOnRepeats(Controller):
 
 
 class StopsSilently(Controller):
-    """Says R at once, not D."""
+    """Reports R at once, without D."""
 
     def _execute_plain(self, command, t, actual):
         reply = super()._execute_plain(command, t, actual)
@@ -229,7 +229,7 @@ class IsWide(ArmLimits):
 
 
 class Roams(Controller):
-    """Knows no workspace and no largest step."""
+    """Has neither workspace nor largest step."""
 
     def __init__(self, limits, *arguments):
         wide = IsWide(limits.x_min, limits.x_max, limits.y_min, limits.y_max, limits.v_max, limits.a_max)
@@ -237,16 +237,16 @@ class Roams(Controller):
 
 
 class Bolts(Controller):
-    """Clamps neither speed nor acceleration, and refuses no leap."""
+    """Limits neither speed nor acceleration, and refuses no jump."""
 
     def __init__(self, limits, *arguments):
         super().__init__(limits, *arguments)
-        self._told = limits
+        self._announced = limits
         self.limits = ArmLimits(limits.x_min, limits.x_max, limits.y_min, limits.y_max, 100.0, 1e6)
 
     def _execute(self, command, t, actual):
         if isinstance(command, armlink.Hello):
-            return encode_reply(self._told.hello())
+            return encode_reply(self._announced.hello())
         return super()._execute(command, t, actual)
 
 
@@ -258,7 +258,7 @@ class SaysOtherLimits(Controller):
 
 
 class IsSlow(Controller):
-    """Takes a set-point two cycles late."""
+    """Uses a set-point two cycles late."""
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
@@ -274,8 +274,8 @@ BROKEN = {
     "deaf after noise": (reading(Deaf), {5}),
     "superseded answered": (AnswersSuperseded, {15}),
     "first of two taken": (QueuesSetpoints, {15}),
-    "fault told twice": (TellsTwice, {12, 19}),
-    "fault not told": (TellsNothing, {12, 19}),
+    "fault announced twice": (AnnouncesTwice, {12, 19}),
+    "fault not announced": (AnnouncesNothing, {12, 19}),
     "refused feed the watchdog": (FeedsOnRefused, {23}),
     "repeats taken for new": (ForgetsRepeats, {10, 16}),
     "repeats feed the watchdog": (FeedsOnRepeats, {16}),
@@ -295,7 +295,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_controller_is_noticed_where_it_is_broken(name):
+def test_a_deviating_controller_fails_the_right_check(name):
     make, where = BROKEN[name]
     assert where <= failures(make)
 
@@ -314,24 +314,24 @@ def test_a_broken_controller_is_noticed_where_it_is_broken(name):
         ("RESUME_WITHIN_M", 8e-3, {18, 21}),
     ],
 )
-def test_a_wrong_constant_is_noticed(monkeypatch, constant, value, where):
+def test_a_wrong_constant_is_detected(monkeypatch, constant, value, where):
     monkeypatch.setattr(controller, constant, value)
     assert where <= failures(Controller)
 
 
-def test_another_cycle_than_told_is_noticed(monkeypatch):
+def test_a_cycle_other_than_announced_is_detected(monkeypatch):
     monkeypatch.setattr("farend.CYCLE_S", 0.020)
     assert 14 in failures(Controller)
 
 
 @pytest.mark.parametrize("newline", [b"\n", b"\r"])
-def test_wrong_line_ends_are_noticed(monkeypatch, newline):
+def test_wrong_line_ends_are_detected(monkeypatch, newline):
     monkeypatch.setattr(armlink, "CONTROLLER_NEWLINE", newline)
     assert failures(Controller)
 
 
-def test_what_a_broken_controller_may_do_is_bounded():
-    """A leap is called back in the next cycle."""
+def test_motion_of_a_deviating_controller_is_bounded():
+    """A jump is taken back in the next cycle."""
     far_end = FarEnd(Bolts)
     far_end.examine()
     assert far_end.far_m < 4.0 * LIMITS.v_max * controller.CYCLE_S

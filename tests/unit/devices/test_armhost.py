@@ -52,7 +52,7 @@ def intact(_t: float, line: bytes) -> bytes:
 
 
 class Controller:
-    """A controller that takes one set-point a cycle and is at its target at once."""
+    """A controller that executes one set-point a cycle and reaches its target at once."""
 
     def __init__(self, phase_s: float = 0.0, drift: float = 0.0, jitter_s: float = 0.0) -> None:
         self.state = ArmState.READY
@@ -74,7 +74,7 @@ class Controller:
     def receive(self, t: float, data: bytes) -> list[Reply]:
         replies: list[Reply] = []
         for line in self._reader.feed(data, t):
-            with contextlib.suppress(LinkError):  # one spoilt line in 256 has the right CRC
+            with contextlib.suppress(LinkError):  # one damaged line in 256 has the right CRC
                 replies += self._obey(t, parse_command(line.body))
         return replies
 
@@ -109,7 +109,7 @@ class Controller:
         return [Ack(command.ss, self.state, self.pose)]
 
     def tick(self) -> tuple[list[Reply], float]:
-        """One cycle: the replies, and how late (s) they go out."""
+        """One cycle: the replies, and their delay (s)."""
         t = self.t_tick
         self.t_tick += self._cycle_s
         replies: list[Reply] = []
@@ -132,7 +132,7 @@ class Controller:
 
 
 class Bench:
-    """Host and controller joined by two paced wires, run from event to event."""
+    """Host and controller joined by two paced lines, run from event to event."""
 
     def __init__(self, controller: Controller | None = None) -> None:
         self.host = make_host(BAUD)
@@ -184,7 +184,7 @@ class Bench:
                     self.transmit("controller", self.t, data)
 
     def track(self) -> None:
-        """Bring the link up and start tracking."""
+        """Brings the link up and starts tracking."""
         self.run(0.2)
         self.host.request_tracking()
         self.run(0.1)
@@ -200,10 +200,10 @@ def mute(_t: float, _line: bytes) -> bytes:
     return b""
 
 
-# Hello and asking
+# Hello and query
 
 
-def test_says_hello_first_then_asks_every_100_ms(bench: Bench) -> None:
+def test_hello_is_sent_first_and_then_a_query_every_100_ms(bench: Bench) -> None:
     bench.run(1.0)
     host, controller = bench.host, bench.controller
     assert host.hello == HELLO
@@ -232,7 +232,7 @@ def test_hello_is_repeated_until_answered(bench: Bench) -> None:
     assert bench.host.linked(bench.t)
 
 
-def test_nothing_but_hello_and_query_goes_out_unasked(bench: Bench) -> None:
+def test_without_commands_only_hello_and_query_are_sent(bench: Bench) -> None:
     bench.run(2.0)
     bench.host.disconnected()
     bench.run(2.0)
@@ -242,7 +242,7 @@ def test_nothing_but_hello_and_query_goes_out_unasked(bench: Bench) -> None:
 # Tracking
 
 
-def test_first_set_point_is_the_actual_pose_whatever_the_target(bench: Bench) -> None:
+def test_the_first_set_point_is_the_actual_pose_whatever_the_target(bench: Bench) -> None:
     bench.target = lambda _t: Pose(0.5, 0.5, 0.0)
     bench.track()
     _, first = bench.controller.commands(SetPoint)[0]
@@ -271,7 +271,7 @@ def test_without_a_target_the_last_set_point_is_repeated(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("target", [Pose(math.nan, 0, 0), Pose(0, math.inf, 0), Pose(5.0, 0, 0), Pose(0, 0, math.inf)])
-def test_target_that_cannot_be_sent_is_counted_and_the_last_one_repeated(bench: Bench, target: Pose) -> None:
+def test_a_target_that_cannot_be_sent_is_counted_and_the_last_one_repeated(bench: Bench, target: Pose) -> None:
     bench.track()
     commanded = bench.host.commanded
     bench.target = lambda _t: target
@@ -281,14 +281,14 @@ def test_target_that_cannot_be_sent_is_counted_and_the_last_one_repeated(bench: 
     assert bench.host.tracking
 
 
-def test_reports_carry_the_first_bytes_time(bench: Bench) -> None:
+def test_reports_have_the_time_of_their_first_byte(bench: Bench) -> None:
     bench.track()
     bench.run(0.5)
     ticks = [report.t_sample - BYTE_S for report in bench.reports[-10:]]
     assert [wrap_phase(t, CYCLE_S) for t in ticks] == pytest.approx([0.0] * 10, abs=1e-5)
 
 
-def test_reports_that_come_at_once_left_a_cycle_apart(bench: Bench) -> None:
+def test_reports_that_arrive_together_are_dated_one_cycle_apart(bench: Bench) -> None:
     bench.track()
     bench.run(1.0)
     held: list[bytes] = []
@@ -321,7 +321,7 @@ def test_a_late_host_skips_periods_and_never_bursts(bench: Bench) -> None:
     assert bench.host.tracking
 
 
-def test_start_refused_says_why(bench: Bench) -> None:
+def test_a_refused_start_gives_the_reason(bench: Bench) -> None:
     bench.run(0.3)
     bench.controller.refuse[Start] = -622
     bench.host.request_tracking()
@@ -341,7 +341,7 @@ def test_start_without_a_link_is_refused_at_once() -> None:
     assert not host.busy
 
 
-def test_line_too_slow_for_the_cycle_is_refused() -> None:
+def test_a_line_too_slow_for_the_cycle_is_refused() -> None:
     host = make_host(9600)
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
@@ -351,7 +351,7 @@ def test_line_too_slow_for_the_cycle_is_refused() -> None:
 
 
 @pytest.mark.parametrize("direction", ["to_host", "to_controller"])
-def test_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: str) -> None:
+def test_a_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: str) -> None:
     bench.run(0.25)
     setattr(bench, direction, mute)
     bench.host.request_tracking()
@@ -368,9 +368,9 @@ def test_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: st
 # Stop and reset
 
 
-def test_stop_is_repeated_decelerates_and_is_followed_until_ready(bench: Bench) -> None:
+def test_stop_is_repeated_and_followed_until_the_arm_is_ready(bench: Bench) -> None:
     bench.track()
-    bench.to_controller = mute  # for half of the time until it is repeated
+    bench.to_controller = mute  # for half of the time until the repetition
     bench.host.request_stop()
     bench.run(0.04)
     bench.to_controller = intact
@@ -383,7 +383,7 @@ def test_stop_is_repeated_decelerates_and_is_followed_until_ready(bench: Bench) 
     assert not [t for t, _ in bench.controller.commands(SetPoint) if t > t_stop]
 
 
-def test_a_stop_under_way_is_not_overtaken(bench: Bench) -> None:
+def test_no_set_point_follows_a_stop(bench: Bench) -> None:
     bench.track()
     bench.host.request_stop()
     bench.host.request_tracking()
@@ -403,7 +403,7 @@ def test_reset_clears_a_fault_and_does_not_start(bench: Bench) -> None:
     assert not bench.controller.commands(Start)
 
 
-def test_reset_while_tracking_is_refused_here(bench: Bench) -> None:
+def test_reset_while_tracking_is_refused_by_the_host(bench: Bench) -> None:
     bench.track()
     bench.host.request_reset()
     assert bench.host.refusal == "reset refused: the arm is tracking"
@@ -411,7 +411,7 @@ def test_reset_while_tracking_is_refused_here(bench: Bench) -> None:
     assert bench.host.tracking
 
 
-def test_a_stop_that_was_answered_is_followed_by_a_query_100_ms_later_and_none_sooner(bench: Bench) -> None:
+def test_an_answered_stop_is_followed_by_a_query_100_ms_later(bench: Bench) -> None:
     bench.track()
     bench.host.request_stop()
     bench.run(0.3)
@@ -419,10 +419,10 @@ def test_a_stop_that_was_answered_is_followed_by_a_query_100_ms_later_and_none_s
     assert 0.100 < min(t for t, _ in bench.controller.commands(Query) if t > t_stop) - t_stop < 0.130
 
 
-# Things that go wrong
+# Failures
 
 
-def test_frozen_after_80_ms_and_lost_after_250(bench: Bench) -> None:
+def test_motion_freezes_after_80_ms_of_silence_and_the_link_is_lost_after_250(bench: Bench) -> None:
     bench.track()
     bench.controller.watchdog = False
     bench.to_host = mute
@@ -444,7 +444,7 @@ def test_frozen_after_80_ms_and_lost_after_250(bench: Bench) -> None:
     assert len(bench.controller.commands(Start)) == 1, "a lost link must not start again by itself"
 
 
-def test_link_lost_unasked_is_noticed_and_asked_about(bench: Bench) -> None:
+def test_a_link_that_the_controller_has_ended_is_noticed_and_queried(bench: Bench) -> None:
     bench.track()
     bench.to_controller = lambda _t, line: b"" if line.startswith(b"S") else line
     bench.run(0.22)
@@ -453,7 +453,7 @@ def test_link_lost_unasked_is_noticed_and_asked_about(bench: Bench) -> None:
     assert not bench.host.tracking
 
 
-def test_no_set_point_goes_out_while_the_state_is_in_doubt(bench: Bench) -> None:
+def test_no_set_point_is_sent_while_the_state_is_uncertain(bench: Bench) -> None:
     bench.track()
     bench.controller.state = ArmState.FAULT
     bench.to_controller = lambda _t, line: b"" if line.startswith(b"Q") else line
@@ -469,7 +469,7 @@ def test_no_set_point_goes_out_while_the_state_is_in_doubt(bench: Bench) -> None
     assert not bench.host.tracking
 
 
-def test_refused_set_point_is_asked_about_and_tracking_goes_on(bench: Bench) -> None:
+def test_a_refused_set_point_is_queried_and_tracking_continues(bench: Bench) -> None:
     bench.track()
     asked = len(bench.controller.commands(Query))
     bench.controller.refuse[SetPoint] = -611
@@ -494,8 +494,8 @@ def test_after_a_hold_set_points_resume_at_the_actual_pose(bench: Bench) -> None
     assert bench.host.tracking
 
 
-def test_a_first_answer_that_is_a_refusal_is_the_last_error() -> None:
-    """Nothing is in doubt before anything was heard: the wrong state is no echo of a fault that latched."""
+def test_a_refusal_as_first_answer_is_the_last_error() -> None:
+    """Nothing is uncertain before the first answer: a wrong state then is no consequence of a latched fault."""
     host = make_host(BAUD)
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
@@ -504,7 +504,7 @@ def test_a_first_answer_that_is_a_refusal_is_the_last_error() -> None:
     assert host.last_error == -620
 
 
-def test_near_the_actual_pose_is_near_by_place_and_by_turn_either_way_round() -> None:
+def test_poses_are_near_if_position_and_wrapped_angle_are_near() -> None:
     half = Pose(0.1, 0.2, math.pi)
     for turn_deg, near in ((0.0, True), (2.9, True), (-2.9, True), (3.1, False), (-3.1, False)):
         assert _is_near(Pose(0.1, 0.2, -math.pi + math.radians(turn_deg)), half) is near
@@ -512,7 +512,7 @@ def test_near_the_actual_pose_is_near_by_place_and_by_turn_either_way_round() ->
     assert not _is_near(Pose(0.1051, 0.2, math.pi), half)
 
 
-def test_emergency_stop_ends_tracking(bench: Bench) -> None:
+def test_an_emergency_stop_ends_tracking(bench: Bench) -> None:
     bench.track()
     while not isinstance(bench.controller.heard[-1][1], SetPoint) or not bench.sent[-1][0] > bench.t - 0.001:
         bench.run(0.001)
@@ -520,12 +520,12 @@ def test_emergency_stop_ends_tracking(bench: Bench) -> None:
     bench.transmit("host", bench.t, encode_reply(Refusal(7, -621)))
     bench.run(0.1)
     assert bench.host.state is ArmState.ESTOP
-    assert bench.host.last_error == -621, "and not the -620 that set-points on their way got"
+    assert bench.host.last_error == -621, "not -620, the answer to set-points already sent"
     assert bench.host.counters.refusals > 1
     assert not bench.host.tracking
 
 
-def test_restarted_controller_is_greeted_again_and_not_started(bench: Bench) -> None:
+def test_a_restarted_controller_gets_hello_again_and_no_start(bench: Bench) -> None:
     bench.track()
     bench.run(2.0)
     bench.controller.state = ArmState.READY
@@ -538,7 +538,7 @@ def test_restarted_controller_is_greeted_again_and_not_started(bench: Bench) -> 
     assert len(bench.controller.commands(Start)) == 1
 
 
-def test_controller_found_ready_ends_tracking(bench: Bench) -> None:
+def test_a_controller_found_ready_ends_tracking(bench: Bench) -> None:
     bench.track()
     bench.controller.state = ArmState.READY
     bench.run(0.2)
@@ -546,7 +546,7 @@ def test_controller_found_ready_ends_tracking(bench: Bench) -> None:
     assert bench.host.state is ArmState.READY
 
 
-def test_lost_port_is_forgotten_and_reported(bench: Bench) -> None:
+def test_a_lost_port_resets_the_link_and_is_reported(bench: Bench) -> None:
     bench.track()
     bench.host.request_stop()
     bench.host.disconnected()
@@ -561,7 +561,7 @@ def test_lost_port_is_forgotten_and_reported(bench: Bench) -> None:
     assert heard[heard.index(Hello()) :][:4] == [Hello(), Query(0), Query(1), Query(2)]
 
 
-def test_late_and_repeated_answers_are_counted_and_change_nothing(bench: Bench) -> None:
+def test_late_and_repeated_answers_are_counted_and_ignored(bench: Bench) -> None:
     bench.run(0.3)
     stray = encode_reply(Ack(0, ArmState.TRACKING, Pose(0.0, 0.0, 0.0)))
     assert bench.host.feed(stray, bench.t) == []
@@ -569,14 +569,14 @@ def test_late_and_repeated_answers_are_counted_and_change_nothing(bench: Bench) 
     assert bench.host.state is ArmState.READY
 
 
-def test_nonsense_is_counted(bench: Bench) -> None:
+def test_invalid_lines_are_counted(bench: Bench) -> None:
     bench.run(0.3)
     assert bench.host.feed(b"\x00\xff*00\nZZ*00\nH*FF\n", bench.t) == []
     counts = bench.host.counters.as_dict()
     assert (counts["unframed"], counts["crc_errors"], counts["malformed"]) == (1, 1, 1)
 
 
-def test_survives_a_noisy_line() -> None:
+def test_a_noisy_line_is_survived() -> None:
     noise = random.Random(5)
 
     def corrupt(_t: float, line: bytes) -> bytes:
@@ -596,7 +596,7 @@ def test_survives_a_noisy_line() -> None:
 
 @pytest.mark.parametrize("phase_ms", [0, 4, 8, 14])
 @pytest.mark.parametrize("drift", [-200e-6, 0.0, 200e-6])
-def test_set_points_land_in_mid_cycle(phase_ms: int, drift: float) -> None:
+def test_set_points_arrive_in_mid_cycle(phase_ms: int, drift: float) -> None:
     bench = Bench(Controller(phase_ms * 1e-3, drift, jitter_s=1e-3))
     bench.track()
     bench.run(0.6)
@@ -611,7 +611,7 @@ def test_set_points_land_in_mid_cycle(phase_ms: int, drift: float) -> None:
 
 
 @pytest.mark.parametrize("offset_ms", range(-8, 9))
-def test_lock_converges_from_any_first_guess(offset_ms: int) -> None:
+def test_the_phase_lock_converges_from_any_initial_phase(offset_ms: int) -> None:
     timer = SetPointTimer(BAUD, CYCLE_S, offset_ms * 1e-3)
     noise = random.Random(offset_ms)
     for cycle in range(200):
@@ -624,7 +624,7 @@ def test_lock_converges_from_any_first_guess(offset_ms: int) -> None:
     assert abs(wrap_phase(landing - CYCLE_S / 2, CYCLE_S)) < 1e-3
 
 
-def test_late_answers_move_the_timer_little() -> None:
+def test_late_answers_hardly_move_the_timer() -> None:
     timer = SetPointTimer(BAUD, CYCLE_S, 0.0)
     slot = timer.t_next
     timer.answered(CYCLE_S + 0.007)
@@ -638,7 +638,7 @@ def test_late_answers_move_the_timer_little() -> None:
     assert timer.t_next - slot - CYCLE_S == pytest.approx(STEP_MAX_S)
 
 
-def test_timer_skips_to_the_nearest_slot() -> None:
+def test_the_timer_skips_to_the_nearest_slot() -> None:
     timer = SetPointTimer(BAUD, CYCLE_S, 0.0)
     slot = timer.t_next
     assert timer.skip(slot + 0.007) == 0

@@ -59,7 +59,7 @@ REPLIES: list[tuple[Reply, str]] = [
 
 
 def crc8_by_division(data: bytes) -> int:
-    """The remainder of data · x⁸ by x⁸ + x² + x + 1 over GF(2), by long division."""
+    """The remainder of data · x⁸ modulo x⁸ + x² + x + 1 over GF(2), by long division."""
     value = int.from_bytes(data, "big") << 8
     while value.bit_length() > 8:
         value ^= 0x107 << value.bit_length() - 9
@@ -87,7 +87,7 @@ def test_golden_lines() -> None:
 
 
 @pytest.mark.parametrize(("command", "body"), COMMANDS)
-def test_commands_both_ways(command: Command, body: str) -> None:
+def test_commands_are_encoded_and_decoded(command: Command, body: str) -> None:
     line = encode_command(command)
     assert line == body.encode() + b"*%02X\n" % crc8_by_division(body.encode())
     again = parse_command(body_of(line, b"\n"))
@@ -96,13 +96,13 @@ def test_commands_both_ways(command: Command, body: str) -> None:
 
 
 @pytest.mark.parametrize(("reply", "body"), REPLIES)
-def test_replies_both_ways(reply: Reply, body: str) -> None:
+def test_replies_are_encoded_and_decoded(reply: Reply, body: str) -> None:
     line = encode_reply(reply)
     assert line == body.encode() + b"*%02X\r\n" % crc8_by_division(body.encode())
     assert encode_reply(parse_reply(body_of(line, b"\r\n"))) == line
 
 
-def test_set_point_is_as_long_as_it_says() -> None:
+def test_a_set_point_has_the_documented_length() -> None:
     assert len(encode_command(SetPoint(0, POSE))) == SETPOINT_BYTES
 
 
@@ -116,7 +116,7 @@ def test_values_arrive_in_si() -> None:
     assert parse_reply("E01-0621") == Refusal(1, -621)
 
 
-# What the grammar does not allow
+# Invalid lines
 
 BAD_COMMANDS = (
     "", "h", "H0", "G", "G0", "G000", "g00", "G0G", "X00", "S00", "S00" + POSE_WIRE[:-1],
@@ -158,12 +158,12 @@ def test_sequence_may_come_in_either_case() -> None:
         Pose(0.0, 0.0, math.inf),
     ],
 )
-def test_poses_that_do_not_fit_are_refused(pose: Pose) -> None:
+def test_poses_out_of_range_are_refused(pose: Pose) -> None:
     with pytest.raises(LinkError):
         encode_command(SetPoint(0, pose))
 
 
-def test_sequence_and_code_that_do_not_fit_are_refused() -> None:
+def test_sequence_numbers_and_codes_out_of_range_are_refused() -> None:
     for ss in (-1, 256):
         with pytest.raises(LinkError, match=f"sequence number {ss} is not 0 to 255"):
             encode_command(Start(ss))
@@ -179,13 +179,13 @@ def test_angles_wrap_to_half_a_turn(angle: int, wrapped: int) -> None:
     assert wrap_mdeg(angle) == wrapped
 
 
-def test_angle_that_rounds_to_minus_half_a_turn_goes_out_positive() -> None:
+def test_an_angle_that_rounds_to_minus_half_a_turn_is_sent_as_positive() -> None:
     assert b"+180000*" in encode_command(SetPoint(0, Pose(0.0, 0.0, -math.pi + 1e-9)))
 
 
 def test_every_code_of_the_contract_has_a_text() -> None:
     contract = {-504, -522, -524, -600, -610, -611, -620, -621, -622, -623}
-    guards_itself = {-1006}  # the V+ program, where it sees that the arm is off its path
+    guards_itself = {-1006}  # from the V+ program, when it detects that the arm is off its path
     assert set(ERROR_TEXT) == contract | guards_itself
     assert error_text(-600).startswith("-0600 the controller lost the link")
     assert "unknown" in error_text(-999)
@@ -204,7 +204,7 @@ def test_unframed_lines_are_counted(noise: bytes) -> None:
     assert reader.counters.bytes_discarded == len(noise)
 
 
-def test_overlong_line_is_dropped_whole_and_the_buffer_stays_bounded() -> None:
+def test_an_overlong_line_is_dropped_and_the_buffer_stays_bounded() -> None:
     reader = LineReader(BAUD)
     for n in range(100):
         assert reader.feed(b"A" * 50, float(n)) == []
@@ -214,7 +214,7 @@ def test_overlong_line_is_dropped_whole_and_the_buffer_stays_bounded() -> None:
     assert reader.counters.bytes_discarded == 5001
 
 
-def test_reset_discards_the_line_in_hand() -> None:
+def test_reset_discards_the_current_line() -> None:
     reader = LineReader(BAUD)
     reader.feed(LINE[:10], 0.0)
     reader.reset()
@@ -222,7 +222,7 @@ def test_reset_discards_the_line_in_hand() -> None:
     assert reader.counters.bytes_discarded == 10
 
 
-def test_first_byte_keeps_the_earliest_evidence_over_reads() -> None:
+def test_the_earliest_time_of_the_first_byte_is_kept_over_reads() -> None:
     reader = LineReader(BAUD)
     reader.feed(LINE[:1], 1.0)
     (late,) = reader.feed(LINE[1:], 1.020)

@@ -1,4 +1,4 @@
-"""Input events: frames, what is told and what is not, and all that a driver of a touch device must live with."""
+"""Input events: frames, remembered and reset values, and the failures that a touch driver must handle."""
 
 import math
 import os
@@ -40,13 +40,13 @@ def pad(**values):
     return driver
 
 
-def test_a_record_is_that_of_the_kernel():
-    told = "0C 00 00 00 00 00 00 00 4E 46 05 00 00 00 00 00 03 00 00 00 34 02 00 00"
-    assert encode([x(564)], 12.345678) == bytes.fromhex(told)
+def test_a_record_has_the_kernels_format():
+    record = "0C 00 00 00 00 00 00 00 4E 46 05 00 00 00 00 00 03 00 00 00 34 02 00 00"
+    assert encode([x(564)], 12.345678) == bytes.fromhex(record)
     assert RECORD.size == 24
 
 
-def test_only_what_has_changed_is_told_and_the_rest_is_remembered():
+def test_unchanged_values_are_not_sent_and_are_remembered():
     driver = pad()
     (first,) = driver.feed(encode([DOWN, x(200), y(7), mt(evdev.ABS_PRESSURE, 20), SYN], 1.0), 1.001)
     assert (first.t_sample, first.s, first.force) == (1.0, pytest.approx(0.020), pytest.approx(0.4))
@@ -54,7 +54,7 @@ def test_only_what_has_changed_is_told_and_the_rest_is_remembered():
     assert (second.s, second.force) == (first.s, first.force)
 
 
-def test_silence_is_not_lift_off_and_a_still_contact_is_said_again():
+def test_a_contact_at_rest_is_repeated_and_silence_is_no_lift_off():
     driver = pad()
     driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.001)
     said = [event for i in range(500) for event in driver.poll(1.0 + 0.01 * i)]
@@ -67,7 +67,7 @@ def test_silence_is_not_lift_off_and_a_still_contact_is_said_again():
     assert list(driver.poll(7.0)) == []
 
 
-def test_on_palms_that_turn_silence_is_a_device_that_has_gone():
+def test_while_the_palms_turn_silence_counts_as_a_lost_device():
     driver = pad()
     driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.001)
     said = [event for i in range(100) for event in driver.poll(1.0 + 0.01 * i, math.radians(30.0))]
@@ -78,7 +78,7 @@ def test_on_palms_that_turn_silence_is_a_device_that_has_gone():
     assert "the palms have turned by" in driver.evidence("silent", 2.0)
 
 
-def test_on_palms_that_turn_whoever_speaks_has_not_gone():
+def test_while_the_palms_turn_a_sending_device_is_not_lost():
     driver = pad()
     for i in range(100):
         driver.feed(encode([DOWN, x(200), y(i % 2), SYN], 1.0 + 0.01 * i), 1.001 + 0.01 * i)
@@ -86,24 +86,24 @@ def test_on_palms_that_turn_whoever_speaks_has_not_gone():
     assert driver.touching
 
 
-def test_without_pressure_no_force_is_claimed():
+def test_without_pressure_there_is_no_force():
     (sample,) = pad(pressure=False).feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
     assert sample.force is None
 
 
-def test_a_lift_off_lost_in_an_overflow_is_not_missed():
+def test_a_lift_off_lost_in_an_overflow_is_detected():
     driver = pad()
     driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
     assert driver.feed(encode([x(210), DROPPED, x(220), SYN], 1.1), 1.1) == []
-    assert driver.feed(encode([y(8), SYN], 1.11), 1.11) == [], "the place along the palm is not known"
-    assert list(driver.poll(1.12)) == [], "and is not said again meanwhile"
+    assert driver.feed(encode([y(8), SYN], 1.11), 1.11) == [], "the position along the palm is unknown"
+    assert list(driver.poll(1.12)) == [], "and is not repeated meanwhile"
     assert [type(event) for event in driver.poll(1.14)] == [PadLift]
     assert driver.touch_end == "silent"
     (again,) = driver.feed(encode([DOWN, x(230), y(8), SYN], 1.15), 1.15)
     assert again.s == pytest.approx(0.023)
 
 
-def test_an_overflow_that_lost_no_lift_off_ends_no_contact():
+def test_an_overflow_without_a_lost_lift_off_ends_no_contact():
     driver = pad()
     driver.feed(encode([DOWN, x(200), y(7), SYN], 1.0), 1.0)
     driver.feed(encode([DROPPED, SYN], 1.1), 1.1)
@@ -113,7 +113,7 @@ def test_an_overflow_that_lost_no_lift_off_ends_no_contact():
 
 
 class Device(EvdevPort):
-    """A device that can be asked for its state."""
+    """A device whose state can be read."""
 
     def __init__(self, state):
         super().__init__("pad1", "nowhere")
@@ -124,7 +124,7 @@ class Device(EvdevPort):
         return self.state
 
 
-def test_what_touches_already_when_it_is_opened_is_asked_for_once():
+def test_a_contact_that_exists_at_opening_is_read_once():
     driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
     for i in range(5):
         driver.tend(device, 0.0)
@@ -133,7 +133,7 @@ def test_what_touches_already_when_it_is_opened_is_asked_for_once():
     assert driver.touching
 
 
-def test_after_an_overflow_the_state_is_asked_for_again():
+def test_after_an_overflow_the_state_is_read_again():
     driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
     driver.tend(device, 0.0)
     driver.poll(1.0)
@@ -145,7 +145,7 @@ def test_after_an_overflow_the_state_is_asked_for_again():
     assert not driver.touching
 
 
-def test_of_two_fingers_the_first_counts_until_it_leaves():
+def test_the_first_of_two_fingers_counts_until_it_leaves():
     reader = EvdevReader()
     first = [mt(0x2F, 0), mt(0x39, 40), mt(0x35, 100), mt(0x36, 5)]
     second = [mt(0x2F, 1), mt(0x39, 41), mt(0x35, 300), mt(0x36, 5)]
@@ -158,15 +158,15 @@ def test_of_two_fingers_the_first_counts_until_it_leaves():
     assert reader.counters.extra_contacts == 1
 
 
-def test_another_id_without_a_lift_is_another_contact():
+def test_a_new_id_without_a_lift_off_is_a_new_contact():
     reader = EvdevReader()
     reader.feed(encode([mt(0x39, 1), mt(0x35, 100), mt(0x36, 5), SYN], 1.0), 1.0)
     reader.feed(encode([mt(0x2F, 1), mt(0x39, 2), mt(0x35, 200), mt(0x36, 5), SYN], 1.1), 1.1)
     (report,) = reader.feed(encode([mt(0x2F, 0), mt(0x39, 3), mt(0x35, 150), SYN], 1.2), 1.2)
-    assert report.x_counts == 200, "the older of those that are left"
+    assert report.x_counts == 200, "the older of the remaining ones"
 
 
-def test_another_clock_is_noticed_and_not_believed():
+def test_an_unexpected_clock_is_reported_and_not_used():
     driver = pad()
     for i in range(20):
         (sample,) = driver.feed(encode([DOWN, x(200 + i), y(7), SYN], 1.7e9 + i), 5.0 + 0.01 * i)
@@ -174,14 +174,14 @@ def test_another_clock_is_noticed_and_not_believed():
     assert list(driver.health(True)) == ["foreign-clock"]
 
 
-def test_places_beyond_the_pad_are_counted_and_no_contact():
+def test_positions_beyond_the_pad_are_counted_and_are_no_contact():
     driver = pad()
     assert driver.feed(encode([DOWN, x(2000), y(7), SYN], 1.0), 1.0) == []
     assert driver.counts()["out_of_range"] == 1
 
 
 @given(st.data())
-def test_every_split_gives_the_same(data):
+def test_every_split_of_the_bytes_gives_the_same_result(data):
     frames = data.draw(st.lists(st.tuples(st.integers(0, 500), st.booleans()), max_size=6))
     stream = b"".join(
         encode([DOWN if down else UP, x(at), y(1), SYN], 1.0 + 0.01 * i) for i, (at, down) in enumerate(frames)
@@ -195,7 +195,7 @@ def test_every_split_gives_the_same(data):
 
 
 @given(st.binary(max_size=300))
-def test_no_bytes_whatever_make_it_raise(data):
+def test_arbitrary_bytes_raise_nothing(data):
     driver = pad()
     for event in driver.feed(data, 1.0):
         assert math.isfinite(event.t_sample)
@@ -222,17 +222,17 @@ def test_the_same_records_are_read_from_a_terminal(terminal):
     assert not port.is_open
 
 
-def test_a_device_that_is_not_there_is_told_and_tried_again(tmp_path):
+def test_a_missing_device_is_reported_and_tried_again(tmp_path):
     port = EvdevPort("pad1", str(tmp_path / "event9"))
     assert not port.poll_open(0.0)
     assert "no such device" in port.error
     os.mkfifo(tmp_path / "event9")
-    assert not port.poll_open(0.1), "not before its time"
+    assert not port.poll_open(0.1), "before the retry interval is over"
     assert port.poll_open(0.6)
     port.close()
 
 
-def test_a_device_that_goes_is_shut(terminal):
+def test_a_device_that_vanishes_is_closed(terminal):
     port = EvdevPort("pad1", terminal[1])
     port.poll_open(0.0)
     port._fd, kept = os.open("/dev/null", os.O_RDONLY), port._fd

@@ -1,4 +1,4 @@
-"""Which contact a stream of input events holds: protocols A and B, overflows, and what does not touch."""
+"""Contacts in a stream of input events: protocols A and B, overflows, and tools that are no touch."""
 
 import pytest
 
@@ -53,7 +53,7 @@ PACKETS = {
         [packet(500, 3, a(ID, 4)), packet(900, 3, a(ID, 5)) + packet(510, 3, a(ID, 4)), packet(905, 3, a(ID, 5)), [MT]],
         [500, 510, 905, "lift"],
     ),
-    "without ids the nearest goes on": (
+    "without ids the nearest continues": (
         [packet(500, 3), packet(900, 3) + packet(510, 3), packet(520, 3) + packet(905, 3), packet(910, 3)],
         [500, 510, 520, 910],
     ),
@@ -71,7 +71,7 @@ PACKETS = {
 
 
 @pytest.mark.parametrize("name", PACKETS)
-def test_packets_of_protocol_a(name):
+def test_packets_of_protocol_a_give_the_expected_contacts(name):
     frames, expected = PACKETS[name]
     assert places(frames) == expected
 
@@ -100,12 +100,12 @@ NO_TOUCH = {
 
 
 @pytest.mark.parametrize("name", NO_TOUCH)
-def test_what_does_not_touch_is_no_contact(name):
+def test_hovering_and_other_tools_are_no_contact(name):
     frames, expected = NO_TOUCH[name]
     assert places(frames) == expected
 
 
-def test_what_does_not_touch_is_counted_and_complained_of():
+def test_other_tools_are_counted_and_reported():
     driver = make_pad(1, EvdevConfig(kind="evdev", port="a"))
     driver.opened(0.0)
     driver.feed(encode([*slot(0, 7, 50, 3, a(DISTANCE, 5)), SYN], 1.0), 1.0)
@@ -113,13 +113,13 @@ def test_what_does_not_touch_is_counted_and_complained_of():
     assert "hover" in driver.diagnosis
 
 
-def test_recorded_bytes_have_no_contact_after_an_overflow_until_it_is_sent_again():
+def test_after_an_overflow_there_is_no_contact_until_it_is_sent_again():
     frames = [slot(0, 7, 500, 3), [DROPPED, a(X, 505)], [a(SLOT, 0), a(X, 510)], [a(Y, 4)]]
     assert places(frames) == [500, None, None, 510]
     assert places(frames, needed=("x",)) == [500, None, 510, 510]
 
 
-def test_after_an_overflow_a_value_without_its_slot_belongs_to_no_known_one():
+def test_after_an_overflow_a_value_without_a_slot_is_ignored():
     frames = [
         [*slot(0, 7, 500, 3), *slot(1, 8, 900, 3)], [DROPPED], [a(X, 910), a(Y, 3)], [a(SLOT, 0), a(X, 510), a(Y, 3)],
         [a(ID, -1)],
@@ -127,7 +127,7 @@ def test_after_an_overflow_a_value_without_its_slot_belongs_to_no_known_one():
     assert places(frames) == [500, None, 910, 510, "lift"]
 
 
-def test_a_pressure_that_an_overflow_took_is_not_zero():
+def test_a_pressure_lost_in_an_overflow_is_not_zero():
     reader = EvdevReader(needed=("x",))
     reader.feed(encode([*slot(0, 7, 500, 3, a(PRESSURE, 60)), SYN], 1.0), 1.0)
     reader.feed(encode([DROPPED, SYN], 1.1), 1.1)
@@ -136,30 +136,30 @@ def test_a_pressure_that_an_overflow_took_is_not_zero():
     assert (report.x_counts, report.pressure) == (510, 61)
 
 
-def test_while_a_state_is_to_be_read_nothing_older_is_reported():
+def test_while_a_state_read_is_pending_older_events_are_not_reported():
     reader = EvdevReader()
     reader.feed(encode([*slot(0, 7, 500, 3), SYN], 1.0), 1.0)
     reader.has_state = True
-    told = reader.feed(encode([DROPPED, SYN, *slot(1, 8, 2000, 3), SYN], 1.1), 1.1)
-    assert told == []
+    reports = reader.feed(encode([DROPPED, SYN, *slot(1, 8, 2000, 3), SYN], 1.1), 1.1)
+    assert reports == []
     assert reader.wants_state
     state = [*slot(0, 7, 512, 300), *slot(1, 8, 2001, 301), a(SLOT, 1), SYN]
     (report,) = reader.restore(encode(state, 1.11))
     assert (report.x_counts, report.y_counts) == (512, 300), "the first one is still down"
     assert not reader.wants_state
     (report,) = reader.feed(encode([a(ID, -1), SYN], 1.12), 1.12)
-    assert report.x_counts == 512, "the other one has left, its slot was the present one"
+    assert report.x_counts == 512, "the other one has left, its slot was the current one"
 
 
-def test_a_place_that_was_not_sent_since_is_that_of_the_state():
+def test_a_coordinate_not_sent_since_the_overflow_comes_from_the_state():
     driver = make_pad(1, EvdevConfig(kind="evdev", port="a", axis="y", counts_per_mm=10.0, length_mm=300.0))
     driver.opened(0.0)
     driver.feed(encode([*slot(0, 7, 500, 1300), SYN], 1.0), 1.0)
     assert driver.feed(encode([DROPPED, SYN, a(SLOT, 0), a(X, 520), SYN], 1.1), 1.1) == []
-    assert not any(not isinstance(each, PadLift) for each in driver.poll(1.11)), "its place is not known"
+    assert not any(not isinstance(each, PadLift) for each in driver.poll(1.11)), "its position is unknown"
 
 
-def test_a_box_round_two_contacts_is_no_place():
+def test_a_bounding_box_of_two_contacts_is_no_position():
     reader = EvdevReader()
     reader.bounding_box = True
     (one,) = reader.feed(encode([*slot(0, 7, 500, 3), SYN], 1.0), 1.0)

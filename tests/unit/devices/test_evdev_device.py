@@ -1,4 +1,4 @@
-"""Input devices as the kernel describes them: refused before they are grabbed, their units, their whole state."""
+"""Input devices as the kernel describes them: unsuitable ones are refused, units and the full state are read."""
 
 import os
 from pathlib import Path
@@ -24,7 +24,7 @@ SINGLE = {code: SLOTTED[code] for code in (kt.X, kt.Y)}
 
 @pytest.fixture
 def device(tmp_path, monkeypatch):
-    """Makes a device: the stand-in's answers, the path, and the end that what it sends is written to."""
+    """Makes a device: the emulated ioctls, the path, and the far end for its events."""
     ends = []
 
     def made(**values):
@@ -59,7 +59,7 @@ NO_PADS = {
 
 
 @pytest.mark.parametrize("name", NO_PADS)
-def test_what_is_no_pad_is_refused_by_name_before_it_is_grabbed(device, name):
+def test_a_device_that_is_no_pad_is_refused_by_name_before_it_is_grabbed(device, name):
     values, says = NO_PADS[name]
     kernel, path, _ = device(name="Some Thing", **values)
     port = EvdevPort("pad1", path)
@@ -84,7 +84,7 @@ def test_touch_devices_of_every_protocol_are_opened_and_grabbed(device, axes, pr
 
 
 class Pad:
-    """A driver at its open port, as the daemon's loop has them."""
+    """A driver at its open port, as in the daemon's loop."""
 
     def __init__(self, path, end, **config):
         values = {"kind": "evdev", "port": path, "zero_mm": 0.0, "length_mm": 300.0} | config
@@ -111,7 +111,7 @@ def a(code, value):
     return (3, code, value)
 
 
-def test_after_an_overflow_the_whole_state_is_read_even_when_more_comes_in_the_same_read(device):
+def test_after_an_overflow_the_full_state_is_read_even_if_more_events_come_in_the_same_read(device):
     kernel, path, end = device(axes=SLOTTED, keys={kt.TOUCH}, slots={kt.ID: [-1, -1], kt.MT_X: [0, 0], kt.MT_Y: [0, 0]})
     pad = Pad(path, end)
     assert pad.tick() == []
@@ -121,12 +121,12 @@ def test_after_an_overflow_the_whole_state_is_read_even_when_more_comes_in_the_s
     kernel.slots = {kt.ID: [7, 8], kt.MT_X: [620, 2000], kt.MT_Y: [30, 40]}
     kernel.axes = kernel.axes | {kt.SLOT: (1, 0, 4, 0)}
     second = kt.events((0, 3, 0)) + kt.events(a(kt.SLOT, 1), a(kt.ID, 8), a(kt.MT_X, 2000), a(kt.MT_Y, 40))
-    assert in_mm(pad.tick(second)) == [31.0], "the contact that was there first is still down"
+    assert in_mm(pad.tick(second)) == [31.0], "the first contact is still down"
     assert in_mm(pad.tick(kt.events(a(kt.ID, -1)))) == [31.0]
     assert in_mm(pad.tick(kt.events(a(kt.SLOT, 0), a(kt.ID, -1), (1, kt.TOUCH, 0)))) == ["lift"]
 
 
-def test_a_coordinate_that_was_not_sent_since_an_overflow_is_read(device):
+def test_a_coordinate_not_sent_since_an_overflow_is_read(device):
     kernel, path, end = device(axes=SLOTTED, keys={kt.TOUCH}, slots={kt.ID: [-1], kt.MT_X: [0], kt.MT_Y: [0]})
     pad = Pad(path, end, axis="y", counts_per_mm=10.0, zero_mm=28.0)
     pad.tick()
@@ -136,7 +136,7 @@ def test_a_coordinate_that_was_not_sent_since_an_overflow_is_read(device):
     assert in_mm(pad.tick(kt.events(a(kt.MT_X, 650)))) == [158.0]
 
 
-def test_a_lift_off_that_an_overflow_took_is_read(device):
+def test_a_lift_off_lost_in_an_overflow_is_detected_by_reading_the_state(device):
     _, path, end = device(axes=SLOTTED, keys={kt.TOUCH}, slots={kt.ID: [-1], kt.MT_X: [0], kt.MT_Y: [0]})
     pad = Pad(path, end)
     pad.tick()
@@ -144,7 +144,7 @@ def test_a_lift_off_that_an_overflow_took_is_read(device):
     assert in_mm(pad.tick(kt.events((0, 3, 0)))) == ["lift"]
 
 
-def test_what_waits_to_be_read_is_older_than_the_state(device):
+def test_queued_events_are_older_than_the_state(device):
     kernel, path, end = device(axes=SLOTTED, keys={kt.TOUCH}, slots={kt.ID: [-1], kt.MT_X: [0], kt.MT_Y: [0]})
     pad = Pad(path, end)
     pad.tick()
@@ -154,7 +154,7 @@ def test_what_waits_to_be_read_is_older_than_the_state(device):
     assert pad.port.read() == b""
 
 
-def test_what_touches_a_device_when_it_is_opened_is_a_report_for_whoever_listens(device):
+def test_a_contact_that_exists_at_opening_is_reported(device):
     _, path, end = device(axes=SINGLE | {kt.X: (400, 0, 3000, 20)}, keys={kt.TOUCH}, pressed={kt.TOUCH})
     pad = Pad(path, end)
     pad.driver.tend(pad.port, 0.0)
@@ -162,7 +162,7 @@ def test_what_touches_a_device_when_it_is_opened_is_a_report_for_whoever_listens
     assert report.x_counts == 400
 
 
-def test_a_device_of_protocol_a_keeps_its_contact_when_the_state_that_can_be_read_says_that_it_is_touched(device):
+def test_a_protocol_a_device_keeps_its_contact_if_its_state_reports_a_touch(device):
     kernel, path, end = device(axes=PACKETED, keys={kt.TOUCH})
     pad = Pad(path, end)
     pad.tick()
@@ -174,7 +174,7 @@ def test_a_device_of_protocol_a_keeps_its_contact_when_the_state_that_can_be_rea
     assert in_mm(pad.tick(kt.events((0, 3, 0)))) == ["lift"]
 
 
-def test_units_are_those_that_the_device_reports(device):
+def test_units_are_taken_from_the_device(device):
     _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 4000, 2)}, keys={kt.TOUCH})
     pad = Pad(path, end)
     pad.tick()
@@ -183,7 +183,7 @@ def test_units_are_those_that_the_device_reports(device):
     assert sample.force == pytest.approx(100 * 9.80665e-3), "100 g"
 
 
-def test_the_configuration_overrides_what_the_device_reports(device):
+def test_the_configuration_overrides_the_devices_units(device):
     _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 4000, 2)}, keys={kt.TOUCH})
     pad = Pad(path, end, counts_per_mm=25.0, newtons_per_count=0.01)
     pad.tick()
@@ -191,7 +191,7 @@ def test_the_configuration_overrides_what_the_device_reports(device):
     assert (sample.s, sample.force) == (pytest.approx(0.020), pytest.approx(2.0))
 
 
-def test_a_pressure_whose_unit_nobody_knows_is_no_force(device):
+def test_a_pressure_of_unknown_unit_is_no_force(device):
     _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 255, 0)}, keys={kt.TOUCH})
     pad = Pad(path, end)
     pad.tick()
@@ -200,7 +200,7 @@ def test_a_pressure_whose_unit_nobody_knows_is_no_force(device):
     assert sample.force is None
 
 
-def test_a_place_whose_unit_nobody_knows_is_not_reported_but_said(device):
+def test_a_position_of_unknown_unit_is_reported_as_a_problem(device):
     _, path, end = device(axes={kt.X: (0, 0, 3000, 0), kt.Y: (0, 0, 3000, 0)}, keys={kt.TOUCH})
     pad = Pad(path, end)
     assert pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), (1, kt.TOUCH, 1))) == []
@@ -211,10 +211,10 @@ TRACKPAD = {
     kt.X: (0, -3678, 3934, 47), kt.Y: (0, -2479, 2586, 44), kt.SLOT: (0, 0, 15, 0), kt.ID: (0, 0, 65535, 0),
     kt.MT_X: (0, -3678, 3934, 47), kt.MT_Y: (0, -2479, 2586, 44), kt.MT_PRESSURE: (0, 0, 2000, 4),
 }  # fmt: skip
-"""Of 160 x 114.9 mm, as the driver of such a trackpad describes it; force in units each gram, as of Linux 6.18."""
+"""160 x 114.9 mm, as the driver of such a trackpad describes it; force in units per gram, as of Linux 6.18."""
 
 
-def test_a_large_pressure_trackpad_is_read_to_a_fiftieth_of_a_millimetre_with_the_force_of_each_touch(device):
+def test_a_large_pressure_trackpad_has_a_resolution_of_0_02_mm_and_forces_of_each_touch(device):
     slots = {kt.ID: [-1] * 16, kt.MT_X: [0] * 16, kt.MT_Y: [0] * 16, kt.MT_PRESSURE: [0] * 16}
     _, path, end = device(axes=TRACKPAD, keys={kt.TOUCH}, slots=slots, properties={kt.PRESSUREPAD})
     pad = Pad(path, end, zero_mm=80.0, counts_per_mm=47.575)
@@ -228,8 +228,8 @@ def test_a_large_pressure_trackpad_is_read_to_a_fiftieth_of_a_millimetre_with_th
     assert in_mm(pad.tick(kt.events(a(kt.ID, -1), a(kt.SLOT, 0), a(kt.ID, -1), (1, kt.TOUCH, 0)))) == ["lift"]
 
 
-def test_a_reported_scale_is_known_to_a_part_of_a_whole_unit(device):
-    """47 for 47.575: the driver divides whole numbers, and all that is read would be 1.2 % too long."""
+def test_a_reported_resolution_has_the_uncertainty_of_rounding(device):
+    """47 for 47.575: the driver rounds to integers, and every length would be 1.2 % too long."""
     _, path, _ = device(axes=TRACKPAD, keys={kt.TOUCH}, properties={kt.PRESSUREPAD})
     found = inspect_pad(EvdevConfig(kind="evdev", port=path)).config
     assert found.counts_per_mm == 47.0
@@ -238,14 +238,14 @@ def test_a_reported_scale_is_known_to_a_part_of_a_whole_unit(device):
         assert inspect_pad(EvdevConfig(kind="evdev", port=path, **given)).config.scale_sd <= 0.003
 
 
-def test_a_device_is_asked_without_being_grabbed(device):
+def test_a_device_can_be_described_without_being_grabbed(device):
     kernel, path, _ = device(axes=SLOTTED, keys={kt.TOUCH}, properties={kt.PRESSUREPAD})
     found = query_device(path)
     assert (found.name, found.counts_per_mm("x"), found.is_pressure_pad) == ("a test pad", 20.0, True)
     assert kernel.grabbed == 0
 
 
-def test_units_left_out_are_filled_in_and_others_compared(device):
+def test_missing_units_are_filled_in_and_others_compared(device):
     _, path, _ = device(axes=SLOTTED | {kt.MT_PRESSURE: (0, 0, 255, 10)}, keys={kt.TOUCH})
     found = query_device(path)
     plain = EvdevConfig(kind="evdev", port=path)
@@ -276,7 +276,7 @@ def made():
 
 
 @needs_uinput
-def test_the_kernels_own_keyboard_and_mouse_are_refused_and_stay_free(made):
+def test_the_kernels_keyboard_and_mouse_are_refused_and_stay_usable(made):
     keyboard = made({}, keys={30, 31, 32})
     mouse = made({}, keys={kt.LEFT}, moves={0, 1})
     for each, says in ((keyboard, "a keyboard"), (mouse, "a mouse")):
@@ -286,7 +286,7 @@ def test_the_kernels_own_keyboard_and_mouse_are_refused_and_stay_free(made):
 
 
 @needs_uinput
-def test_the_kernels_own_touch_device_reads_right_through_an_overflow(made):
+def test_the_kernels_touch_device_is_read_correctly_after_an_overflow(made):
     axes = {kt.SLOT: (0, 4, 0), kt.ID: (0, 65535, 0), kt.MT_X: (0, 6000, 20), kt.MT_Y: (0, 4000, 20)}
     there = made(axes, keys={kt.TOUCH}, properties={0, kt.PRESSUREPAD})
     there.send(a(kt.ID, 7), a(kt.MT_X, 600), a(kt.MT_Y, 1300), (1, kt.TOUCH, 1))
@@ -305,7 +305,7 @@ def test_the_kernels_own_touch_device_reads_right_through_an_overflow(made):
         return in_mm([*events, *driver.poll(t)])
 
     assert tick() == [65.0], "touched before it was opened"
-    for i in range(400):  # far more than the kernel keeps for a reader
+    for i in range(400):  # far more than the kernel's queue holds
         there.send(a(kt.MT_X, 700 + i))
     there.send(a(kt.SLOT, 1), a(kt.ID, 8), a(kt.MT_X, 3000), a(kt.MT_Y, 3100))
     seen = [place for _ in range(12) for place in tick()]
@@ -318,7 +318,7 @@ def test_the_kernels_own_touch_device_reads_right_through_an_overflow(made):
 
 
 @needs_uinput
-def test_the_kernels_own_device_of_protocol_a_is_read_and_released(made):
+def test_the_kernels_protocol_a_device_is_read_and_released(made):
     there = made({kt.MT_X: (0, 6000, 20), kt.MT_Y: (0, 4000, 20)})
     driver = make_pad(1, EvdevConfig(kind="evdev", port=there.path, zero_mm=0.0, length_mm=300.0))
     port = driver.port()

@@ -1,25 +1,25 @@
-"""When a line's errors are too many: by the share of what has come since the last look."""
+"""Error counters of a line: an error share since the last check that exceeds its limit."""
 
 from palmd.devices.health import SERIAL_PAD_LIMITS, ErrorShare, ErrorShares, bytes_since, last_report
 from palmd.devices.versapad import PACKET_BYTES, VersaPadDecoder, encode_packet
 
 
-def test_too_many_is_more_than_the_share_among_enough():
-    assert not ErrorShare(0.1, 20).exceeded(19, 19)  # too few to tell
-    assert not ErrorShare(0.1, 20).exceeded(20, 2)  # the share itself is not too many
+def test_the_share_must_be_exceeded_among_enough_bytes():
+    assert not ErrorShare(0.1, 20).exceeded(19, 19)  # too few for a verdict
+    assert not ErrorShare(0.1, 20).exceeded(20, 2)  # exactly the limit
     assert ErrorShare(0.1, 20).exceeded(20, 3)
 
 
-def test_only_what_has_come_since_the_last_look_counts():
+def test_only_bytes_since_the_last_check_count():
     share = ErrorShare(0.1, 20)
     assert share.exceeded(100, 50)
-    assert not share.exceeded(200, 52)  # 2 of 100: what was bad before is over
+    assert not share.exceeded(200, 52)  # 2 of the last 100; earlier errors do not count
     assert share.text("packets") == "2 of 100 packets since the last check"
-    assert not share.exceeded(200, 52)  # nothing has come
+    assert not share.exceeded(200, 52)  # nothing new
     assert share.exceeded(220, 72)
 
 
-def test_ages_and_bytes_in_words():
+def test_ages_and_byte_counts_are_formatted():
     assert last_report(None, 1.0) == "no packet has come yet"
     assert last_report(1.0, 1.25) == "its last packet is 250 ms old"
     assert last_report(1.0, 2.0) == "its last packet is 1.0 s old"
@@ -27,7 +27,7 @@ def test_ages_and_bytes_in_words():
     assert bytes_since(3) == "3 bytes have come since, which are no packet"
 
 
-def test_conditions_hold_from_one_look_to_the_next_and_tell_what_they_are_of():
+def test_conditions_hold_until_the_next_check_and_state_their_counts():
     shares = ErrorShares({"garbled": (0.2, 24, "bytes"), "batched": (0.5, 10, "packets")})
     assert list(shares) == []
     shares.update({"garbled": (100, 21), "batched": (9, 9)})
@@ -39,8 +39,8 @@ def test_conditions_hold_from_one_look_to_the_next_and_tell_what_they_are_of():
     assert shares.text("batched") == "6 of 11 packets since the last check"
 
 
-def test_a_packet_that_was_cut_when_its_port_was_opened_is_no_damage():
-    """Found by a simulated run: a daemon begun anew whose first look came 25 ms later."""
+def test_a_packet_cut_by_opening_the_port_is_no_damage():
+    """Found by a simulated run: a restarted daemon whose first check came 25 ms later."""
     packet = encode_packet(10, 20, 40)
     for cut in range(1, PACKET_BYTES):
         for whole in range(40):

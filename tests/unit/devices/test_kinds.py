@@ -20,23 +20,23 @@ def kinds(folder):
 
 
 def kinds_in(union):
-    """The kinds of a model, or of a union of them, however they are told apart."""
+    """The kinds of a model, or of a union of models, however they are discriminated."""
     if isinstance(union, type):
         return set(get_args(union.model_fields["kind"].annotation))
     return {kind for each in get_args(union) if not isinstance(each, Discriminator | Tag) for kind in kinds_in(each)}
 
 
-def test_every_file_has_its_configuration_model_and_the_other_way_round():
+def test_every_driver_has_a_configuration_model_and_vice_versa():
     assert kinds("pads") == kinds_in(PadConfig)
     assert kinds("actuators") == kinds_in(ArmConfig)
 
 
-def test_every_kind_has_its_emulated_far_side():
+def test_every_kind_has_its_emulation():
     assert kinds("../rig/padkinds") == kinds_in(PadConfig)
     assert kinds("../rig/servokinds") - {"dynamixel_table"} == kinds_in(ArmConfig) - {"adept"}
 
 
-def test_an_actuator_says_what_it_sent():
+def test_an_actuator_returns_the_set_point_that_it_sent():
     arm = make_actuator(AdeptConfig(port="a"))
     far = Pose(0.1, 0.2, 0.3)
     arm.poll(0.0, None)
@@ -55,6 +55,6 @@ def test_an_actuator_says_what_it_sent():
             command = parse_command(line.decode().split("*")[0])
             if hasattr(command, "ss"):
                 arm.feed(encode_reply(Ack(command.ss, ArmState.TRACKING, far)), t)
-    assert setpoints[0].t_rad == pytest.approx(0.3, abs=1e-5), "where the arm is, not where it was told to go"
+    assert setpoints[0].t_rad == pytest.approx(0.3, abs=1e-5), "the arm's actual angle, not its target"
     assert len(setpoints) > 100
     assert setpoints[-1].t_rad == pytest.approx(0.3 + 0.01 * t, abs=1e-3)

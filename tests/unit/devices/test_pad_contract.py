@@ -1,4 +1,4 @@
-"""What every kind of pad on a serial line keeps to: splits, garbage, silence, restart and unplugging of its bytes."""
+"""Requirements of every kind of pad on a serial line: splits, garbage, silence, restart, unplugging."""
 
 import math
 import random
@@ -11,8 +11,8 @@ from palmd.events import PadSample
 from palmd.rig.pads import Press
 
 SPLITS = 100_000
-SOON_S = 0.1  # in which a touch, a lift-off or a silence is noticed
-RESTART_S = 1.5  # after which a device that must be told how to speak has been told again
+SOON_S = 0.1  # limit for detecting a touch, a lift-off or a silence
+RESTART_S = 1.5  # limit for a restarted device that needs its start-up command again
 
 pytestmark = pytest.mark.parametrize("kind", SERIAL)
 
@@ -23,7 +23,7 @@ def bench(kind):
 
 
 def swept(bench, seconds=3.0):
-    """A contact rolls over the middle of the pad and back, lifted now and then."""
+    """A contact rolls over the middle of the pad and back, with occasional lift-offs."""
     for step in range(round(seconds / 0.1)):
         if step % 10 == 9:
             bench.press = None
@@ -33,7 +33,7 @@ def swept(bench, seconds=3.0):
     return bench
 
 
-def test_a_touch_is_a_place_and_a_force_and_its_end_a_lift(bench):
+def test_a_touch_gives_position_and_force_and_its_end_a_lift(bench):
     t = bench.t
     bench.touched(0.0281)
     readings = bench.samples()
@@ -49,7 +49,7 @@ def test_a_touch_is_a_place_and_a_force_and_its_end_a_lift(bench):
     assert not bench.driver.touching
 
 
-def test_a_hundred_thousand_splits_give_the_same_readings(kind, bench):
+def test_random_splits_of_the_bytes_give_the_same_readings(kind, bench):
     stream = bytes(swept(bench).said)
     dice = random.Random(1)
     stream = b"".join(stream[i : i + 211] + dice.randbytes(dice.randrange(8)) for i in range(0, len(stream), 211))
@@ -69,7 +69,7 @@ def read(reports):
     return [(each.x_counts, each.y_counts, each.pressure, each.in_use) for each in reports]
 
 
-def test_times_never_run_backwards_nor_lie_in_the_future(kind, bench):
+def test_timestamps_are_monotonic_and_never_in_the_future(kind, bench):
     stream, dice, driver = bytes(swept(bench, 1.0).said), random.Random(2), make_pad(1, KINDS[kind])
     at, t, latest = 0, 0.0, -math.inf
     while at < len(stream):
@@ -91,12 +91,12 @@ def test_random_bytes_raise_nothing_and_are_no_touch(kind):
         driver.poll(t)
     counts = driver.counts()
     assert counts["bytes"] > 90_000
-    assert readings <= (0 if kind != "versapad" else 200), "a VersaPad has no checksum, nor much of a header"
+    assert readings <= (0 if kind != "versapad" else 200), "a VersaPad has no checksum and a short header"
     assert "garbled" in driver.health(True)
     assert driver.diagnosis is None or "bytes" in driver.diagnosis
 
 
-def test_garbage_among_the_bytes_moves_no_reading_and_is_over_when_it_ends(kind):
+def test_garbage_between_packets_changes_no_reading_and_has_no_lasting_effect(kind):
     dice = random.Random(4)
     bad = [True]
     bench = PadBench(
@@ -112,7 +112,7 @@ def test_garbage_among_the_bytes_moves_no_reading_and_is_over_when_it_ends(kind)
     assert bench.samples(t)[0].t_sample <= t + SOON_S
 
 
-def test_a_pad_that_falls_silent_while_touched_is_let_go(bench):
+def test_a_silent_touched_pad_gives_a_lift(bench):
     bench.touched(0.0281)
     bench.plugged, t = False, bench.t
     bench.go(0.2)
@@ -122,7 +122,7 @@ def test_a_pad_that_falls_silent_while_touched_is_let_go(bench):
     assert bench.driver.evidence("silent", bench.t)
 
 
-def test_unplugging_ends_the_touch_and_plugging_in_begins_anew(bench):
+def test_unplugging_ends_the_touch_and_readings_resume_after_replugging(bench):
     bench.touched(0.0281)
     bench.plugged = False
     (lift,) = bench.driver.lost(bench.t)
@@ -136,7 +136,7 @@ def test_unplugging_ends_the_touch_and_plugging_in_begins_anew(bench):
     assert bench.samples(t)[0].t_sample <= t + 2 * SOON_S
 
 
-def test_a_device_that_restarts_is_heard_again_by_itself(bench):
+def test_a_restarted_device_is_read_again_without_intervention(bench):
     bench.touched(0.0281)
     bench.restart()
     t = bench.t

@@ -22,28 +22,28 @@ def read(config):
     return np.array([counts_to_mm(config, 10.0 * s) for s in PLACES.tolist()])
 
 
-def test_a_reading_has_the_correction_of_its_place():
+def test_a_reading_is_corrected_by_the_map_at_its_position():
     assert read(mapped()) == pytest.approx(PLACES + wave(PLACES), abs=1e-3)
 
 
-def test_a_curve_and_a_map_are_added():
+def test_curve_and_map_are_added():
     curve = (0.0, 0.4, 0.0)
     curved = read(PLAIN.model_copy(update={"curve_mm": curve}))
     assert read(mapped(curve_mm=curve)) == pytest.approx(curved + wave(PLACES), abs=1e-3)
 
 
-def test_a_corrected_place_leads_back_to_its_counts():
+def test_the_correction_can_be_inverted():
     assert linear_mm(mapped(), read(mapped())) == pytest.approx(PLACES, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     "points", [[[1.0, 0.0]], [[2.0, 0.0], [1.0, 0.1]], [[1.0, 0.0], [1.1, 0.5]], [[1.0], [2.0]], [[0, 0], [1e-200, 0]]]
 )
-def test_maps_that_leave_no_place_for_each_reading_are_refused(points):
+def test_maps_that_are_not_invertible_are_refused(points):
     with pytest.raises(ValidationError):
         mapped(map=points)
 
 
-def test_a_pad_without_a_map_is_written_as_before():
+def test_a_pad_without_a_map_is_written_unchanged():
     assert "map" not in PLAIN.model_dump()
     assert mapped().model_dump()["map"]

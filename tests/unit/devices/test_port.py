@@ -1,4 +1,4 @@
-"""Serial ports on real pseudo-terminals: opening, losing, coming back; waiting; the touchpad's start-up."""
+"""Serial ports on pseudo-terminals: opening, loss and return; waiting; the touchpad's start-up."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from palmd.devices.port import Port, PortWaiter, explain
 
 
 class FarEnd:
-    """The other side of a port: a pseudo-terminal's master, its slave linked at `path`."""
+    """The other side of a port: a pseudo-terminal's master, whose slave is linked at `path`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -57,7 +57,7 @@ def port(far: FarEnd) -> Iterator[Port]:
 
 
 def read_within(port: Port, size: int, seconds: float = 2.0) -> bytes:
-    """Read until `size` bytes have come, as the loop does: wait, drain, wait."""
+    """Reads until `size` bytes have come, as the loop does: wait, drain, wait."""
     waiter, data, t_end = PortWaiter([port]), b"", time.monotonic() + seconds
     while len(data) < size and time.monotonic() < t_end:
         data += b"".join(ready.read() for ready in waiter.wait(t_end))
@@ -86,7 +86,7 @@ def test_bytes_pass_both_ways_unchanged(far: FarEnd, port: Port) -> None:
     }
 
 
-def test_the_kernels_counts_of_the_line_add_up_over_openings(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernels_line_error_counts_add_up_over_openings(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = [7, 5, 3, 2, 1]  # framing errors, overruns, parity errors, breaks, overruns of the terminal
     real = fcntl.ioctl
 
@@ -105,7 +105,7 @@ def test_the_kernels_counts_of_the_line_add_up_over_openings(port: Port, monkeyp
     monkeypatch.setattr("palmd.devices.port.fcntl.ioctl", ioctl)
     port.close()
     assert port.poll_open(1.0)
-    assert counted() == [0, 0, 0, 0]  # before it was opened
+    assert counted() == [0, 0, 0, 0]  # not counted before the opening
     kernels[:] = [17, 6, 6, 4, 4]
     assert counted() == counted() == [2, 10, 3, 4]
     port.close()
@@ -116,11 +116,11 @@ def test_the_kernels_counts_of_the_line_add_up_over_openings(port: Port, monkeyp
     assert counted() == [2, 11, 3, 4]
 
 
-def test_baud_reaches_the_line(far: FarEnd, port: Port) -> None:
+def test_the_baud_rate_is_set_on_the_line(far: FarEnd, port: Port) -> None:
     assert termios.tcgetattr(far.master)[4] == termios.B9600
 
 
-def test_full_buffer_drops_whole_writes_and_never_blocks(far: FarEnd, port: Port) -> None:
+def test_a_full_buffer_drops_whole_writes_and_never_blocks(far: FarEnd, port: Port) -> None:
     line = b"S" * 99 + b"\n"
     for _ in range(2000):
         port.write(line)
@@ -128,7 +128,7 @@ def test_full_buffer_drops_whole_writes_and_never_blocks(far: FarEnd, port: Port
     assert port.counters.bytes_dropped > 0
     received = b""
     while True:
-        port.write(b"")  # the rest of a line cut short goes out as soon as there is room
+        port.write(b"")  # the rest of a partly sent line is sent as soon as there is room
         try:
             received += os.read(far.master, 65536)
         except BlockingIOError:
@@ -138,7 +138,7 @@ def test_full_buffer_drops_whole_writes_and_never_blocks(far: FarEnd, port: Port
     assert len(received) + port.counters.bytes_dropped == 200_000
 
 
-def test_flood_is_read_in_portions(far: FarEnd, port: Port) -> None:
+def test_a_flood_is_read_in_portions(far: FarEnd, port: Port) -> None:
     written = 0
     while True:
         try:
@@ -148,11 +148,11 @@ def test_flood_is_read_in_portions(far: FarEnd, port: Port) -> None:
     assert len(read_within(port, written)) == written
 
 
-# Losing and coming back
+# Loss and return
 
 
 @pytest.mark.parametrize("discovery", ["read", "write"])
-def test_unplugged_port_is_shut_at_once_and_says_so(far: FarEnd, port: Port, discovery: str) -> None:
+def test_an_unplugged_port_is_closed_at_once_and_reports_it(far: FarEnd, port: Port, discovery: str) -> None:
     far.unplug()
     port.read() if discovery == "read" else port.write(b"Q00*00\n")
     assert not port.is_open
@@ -164,7 +164,7 @@ def test_unplugged_port_is_shut_at_once_and_says_so(far: FarEnd, port: Port, dis
     assert port.counters.losses == 1
 
 
-def test_hang_up_wakes_the_waiter_and_it_does_not_spin(far: FarEnd, port: Port) -> None:
+def test_a_hang_up_wakes_the_waiter_once(far: FarEnd, port: Port) -> None:
     waiter = PortWaiter([port])
     far.unplug()
     assert waiter.wait(time.monotonic() + 2.0) == [port]
@@ -174,7 +174,7 @@ def test_hang_up_wakes_the_waiter_and_it_does_not_spin(far: FarEnd, port: Port) 
     assert time.monotonic() - t_start >= 0.0199
 
 
-def test_replugged_port_comes_back_at_the_same_path(far: FarEnd, port: Port) -> None:
+def test_a_replugged_port_returns_at_the_same_path(far: FarEnd, port: Port) -> None:
     port.write(b"half a l")
     far.unplug()
     port.read()
@@ -182,7 +182,7 @@ def test_replugged_port_comes_back_at_the_same_path(far: FarEnd, port: Port) -> 
     assert port.error is not None
     assert "no such port" in port.error
     far.plug()
-    assert not port.poll_open(1.4), "tried again too soon"
+    assert not port.poll_open(1.4), "retried too soon"
     assert port.poll_open(1.5)
     assert port.error is None
     os.write(far.master, b"back")
@@ -192,7 +192,7 @@ def test_replugged_port_comes_back_at_the_same_path(far: FarEnd, port: Port) -> 
     assert (port.counters.opens, port.counters.losses) == (2, 1)
 
 
-def test_rest_of_a_cut_line_does_not_outlive_the_port(far: FarEnd, port: Port) -> None:
+def test_the_rest_of_a_cut_line_is_discarded_with_the_port(far: FarEnd, port: Port) -> None:
     for _ in range(300):
         port.write(b"x" * 999)
     far.unplug()
@@ -203,7 +203,7 @@ def test_rest_of_a_cut_line_does_not_outlive_the_port(far: FarEnd, port: Port) -
     assert os.read(far.master, 100) == b"fresh"
 
 
-def test_fileno_of_a_shut_port_is_an_error(port: Port) -> None:
+def test_fileno_of_a_closed_port_is_an_error(port: Port) -> None:
     port.close()
     with pytest.raises(ValueError, match="pad1: port is not open"):
         port.fileno()
@@ -211,16 +211,16 @@ def test_fileno_of_a_shut_port_is_an_error(port: Port) -> None:
     port.set_break(True)
 
 
-# What cannot be opened
+# Ports that cannot be opened
 
 
-def test_missing_port_says_so(tmp_path: Path) -> None:
+def test_a_missing_port_is_reported(tmp_path: Path) -> None:
     port = Port("arm", str(tmp_path / "nowhere"), 38400)
     assert not port.poll_open(0.0)
     assert port.error == f"arm: no such port {tmp_path}/nowhere: check the plug and the configured name"
 
 
-def test_port_held_by_another_process_says_so(far: FarEnd, port: Port) -> None:
+def test_a_port_held_by_another_process_is_reported(far: FarEnd, port: Port) -> None:
     rival = Port("rival", str(far.path), 9600)
     assert not rival.poll_open(0.0)
     assert rival.error is not None
@@ -230,7 +230,7 @@ def test_port_held_by_another_process_says_so(far: FarEnd, port: Port) -> None:
     rival.close()
 
 
-def test_port_locked_by_a_stranger_says_so(far: FarEnd) -> None:
+def test_a_port_locked_by_another_program_is_reported(far: FarEnd) -> None:
     with far.path.open("r+b", buffering=0) as stranger:
         fcntl.flock(stranger, fcntl.LOCK_EX)
         port = Port("pad1", str(far.path), 9600)
@@ -240,7 +240,7 @@ def test_port_locked_by_a_stranger_says_so(far: FarEnd) -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
-def test_what_is_no_serial_port_says_so(tmp_path: Path, kind: str) -> None:
+def test_a_file_that_is_no_serial_port_is_reported(tmp_path: Path, kind: str) -> None:
     path = tmp_path / kind
     path.touch() if kind == "file" else path.mkdir()
     port = Port("pad1", str(path), 9600)
@@ -271,7 +271,7 @@ def test_termios_errors_are_caught(far: FarEnd, monkeypatch: pytest.MonkeyPatch)
 # Waiting
 
 
-def test_wait_names_the_readable_port_only(tmp_path: Path) -> None:
+def test_wait_returns_only_the_readable_port(tmp_path: Path) -> None:
     ends = [FarEnd(tmp_path / name) for name in ("a", "b")]
     ports = [Port(end.path.name, str(end.path), 9600) for end in ends]
     assert all(port.poll_open(0.0) for port in ports)
@@ -282,7 +282,7 @@ def test_wait_names_the_readable_port_only(tmp_path: Path) -> None:
         end.unplug()
 
 
-def test_what_came_while_nobody_waited_is_not_lost(far: FarEnd, port: Port) -> None:
+def test_bytes_that_came_while_nobody_waited_are_not_lost(far: FarEnd, port: Port) -> None:
     waiter = PortWaiter([port])
     assert waiter.wait(0.0) == []
     for data in (b"one", b"two"):
@@ -292,7 +292,7 @@ def test_what_came_while_nobody_waited_is_not_lost(far: FarEnd, port: Port) -> N
         assert waiter.wait(0.0) == []
 
 
-def test_what_comes_after_a_port_was_lost_and_found_wakes_the_same_waiter(far: FarEnd, port: Port) -> None:
+def test_bytes_after_a_ports_loss_and_return_wake_the_same_waiter(far: FarEnd, port: Port) -> None:
     waiter = PortWaiter([port])
     for t in (1.0, 2.0):
         far.unplug()
@@ -306,7 +306,7 @@ def test_what_comes_after_a_port_was_lost_and_found_wakes_the_same_waiter(far: F
         assert port.read() == b"back"
 
 
-def test_wait_asks_for_exactly_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_sleeps_for_exactly_the_remaining_time(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
     monkeypatch.setattr("select.select", lambda r, w, x, timeout: asked.append(timeout) or (r, w, x))
     waiter = PortWaiter([], clock=lambda: 5.0)
@@ -318,11 +318,11 @@ def test_wait_asks_for_exactly_the_time_left(monkeypatch: pytest.MonkeyPatch) ->
 # The touchpad's start-up
 
 
-def test_no_handshake_is_done_at_once() -> None:
+def test_without_a_handshake_the_start_up_is_complete_at_once() -> None:
     assert Handshake("none", 0.0).done
 
 
-def test_break_then_identity_among_packets() -> None:
+def test_the_identity_is_found_among_packets_after_a_break() -> None:
     shake = Handshake("break", 10.0)
     assert shake.step(10.0, b"")
     assert shake.step(10.0 + BREAK_S - 0.01, b"VPold1\r")
@@ -334,7 +334,7 @@ def test_break_then_identity_among_packets() -> None:
     assert shake.error is None
 
 
-def test_two_breaks_want_the_same_answer_twice() -> None:
+def test_two_breaks_need_the_same_answer_twice() -> None:
     shake = Handshake("break_twice", 0.0)
     assert shake.step(0.5, b"VP12345\r"), "the second break follows the first answer"
     assert not shake.step(0.5 + BREAK_S, b"")
@@ -353,7 +353,7 @@ def test_different_answers_are_an_error() -> None:
     assert "two different identities" in shake.error
 
 
-def test_mute_pad_times_out() -> None:
+def test_a_mute_pad_times_out() -> None:
     shake = Handshake("break", 0.0)
     for n in range(1000):
         shake.step(n * 0.001, b"\xc4\x00\x00\x00\x00\x10")

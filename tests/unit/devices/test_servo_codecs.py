@@ -39,11 +39,11 @@ of_every_make = pytest.mark.parametrize("codec", [dxl, sts], ids=("dynamixel", "
     ],
 )  # fmt: skip
 def test_packets_are_those_of_the_manuals(packet, manual):
-    """The STS's Sync Read is verified against lerobot's motors."""
+    """The STS's Sync Read is verified against LeRobot's motors."""
     assert packet == bytes.fromhex(manual)
 
 
-def test_an_answer_of_ordinary_numbers_is_stuffed_and_read_back():
+def test_an_answer_that_contains_the_header_is_stuffed_and_read_back():
     raw = bytes.fromhex("FF FF FD 00 01 15 00 55 00 E8 03 01 01 00 00 FF FF FD FD FF FF FF 63 08 00 00 62 A2")
     (packet,) = dxl.packet_reader(BAUD).feed(raw, 0.0)
     registers = Registers(120, packet.parameters)
@@ -52,7 +52,7 @@ def test_an_answer_of_ordinary_numbers_is_stuffed_and_read_back():
     assert dxl.encode_status(1, 0, packet.parameters) == raw
 
 
-def test_goals_of_feetech_carry_the_speed_at_which_their_way_takes_a_profile():
+def test_feetech_goals_have_the_speed_of_a_profile():
     raw = sts.MAKE.goals({1: 2148, 2: 1948}, {1: 12.0, 2: -0.001}, 12)
     parameters = bytes((42, 6)) + bytes.fromhex("01 64 08 00 00 E8 03") + bytes.fromhex("02 9C 07 00 00 01 00")
     assert raw == sts.encode(0xFE, 0x83, parameters), "1000 counts/s, and at least 1: 0 would be no limit"
@@ -67,12 +67,12 @@ def test_goals_of_feetech_carry_the_speed_at_which_their_way_takes_a_profile():
         (sts.HOMING_OFFSET, -5, "05 08"),
     ],
 )
-def test_signed_numbers_of_feetech_are_a_size_and_a_sign_bit(register, value, raw):
+def test_feetech_numbers_are_magnitude_and_sign_bit(register, value, raw):
     assert register.encode(value) == bytes.fromhex(raw)
     assert Registers(register.address, bytes.fromhex(raw))[register] == value
 
 
-def test_what_a_register_cannot_hold_is_refused():
+def test_numbers_out_of_a_registers_range_are_refused():
     with pytest.raises(OverflowError, match="register 42"):
         sts.GOAL.encode(1 << 15)
 
@@ -85,13 +85,13 @@ def random_data(dice):
 
 
 def as_the_library_sends(theirs, servo, body):
-    """With its stuffing and checksum; `txPacket` of 4.1.0 forgets what `addStuffing` returns."""
+    """With the library's stuffing and checksum; `txPacket` of 4.1.0 ignores the result of `addStuffing`."""
     packet = theirs.addStuffing([*dxl.HEADER, servo, len(body) + 2, 0, *body, 0, 0])
     crc = theirs.updateCRC(0, packet, len(packet) - 2)
     return bytes([*packet[:-2], crc & 0xFF, crc >> 8])
 
 
-def test_two_thousand_random_packets_are_those_of_the_makers_library():
+def test_random_packets_are_those_of_the_makers_library():
     dice, theirs = random.Random(5), Protocol2PacketHandler()
     for _ in range(2000):
         servo, data = dice.randrange(253), random_data(dice)
@@ -99,7 +99,7 @@ def test_two_thousand_random_packets_are_those_of_the_makers_library():
 
 
 def answering(answer):
-    """What the maker's library wants of a port that brings an answer, on bytes in memory."""
+    """A port that delivers an answer from memory, with the attributes that the maker's library uses."""
     left = list(answer)
 
     def read(length):
@@ -110,14 +110,14 @@ def answering(answer):
 
 
 def test_the_makers_library_reads_our_answers():
-    """But where it looks for stuffing in bytes that it has moved already, and so loses some of them."""
+    """Except where it looks for stuffing in bytes that it has moved already, and so loses some of them."""
     dice, theirs, read_alike = random.Random(6), Protocol2PacketHandler(), 0
     for _ in range(2000):
         data = random_data(dice)
         if b"\xff\xff\xfd" in data and b"\xfd\xfd" in data + b"\xfd":
             continue
-        told, result, error = theirs.readRx(answering(dxl.encode_status(7, 0, data)), 7, len(data))
-        assert (result, error, bytes(told)) == (COMM_SUCCESS, 0, data)
+        received, result, error = theirs.readRx(answering(dxl.encode_status(7, 0, data)), 7, len(data))
+        assert (result, error, bytes(received)) == (COMM_SUCCESS, 0, data)
         read_alike += 1
     assert read_alike > 1000
 
@@ -155,7 +155,7 @@ def test_every_split_of_the_bytes_gives_the_same_and_every_byte_is_counted(codec
 
 
 @of_every_make
-def test_a_hundred_thousand_splits_give_the_same_packets(codec):
+def test_random_splits_give_the_same_packets(codec):
     dice = random.Random(1)
     stream = b"".join(
         codec.encode_status(dice.randrange(253), 0, dice.randbytes(dice.randrange(40)))
@@ -168,7 +168,7 @@ def test_a_hundred_thousand_splits_give_the_same_packets(codec):
     assert len(expected) > 6000
 
 
-def test_what_a_cut_packet_hides_comes_when_it_is_given_up():
+def test_a_packet_hidden_by_a_cut_one_is_found_after_a_timeout():
     reader, whole = dxl.packet_reader(BAUD), dxl.encode_status(2, 0, bytes(16))
     assert reader.feed(dxl.encode_status(1, 0, bytes(60))[:20] + whole, 0.0) == []
     (found,) = reader.flush()
@@ -186,7 +186,7 @@ def test_one_flipped_bit_loses_one_packet(codec):
 
 
 @of_every_make
-def test_the_first_byte_is_dated_by_the_line(codec):
+def test_the_first_byte_is_dated_by_the_line_rate(codec):
     reader, raw = codec.packet_reader(BAUD), codec.encode_status(1, 0, bytes(16))
     reader.feed(raw[:5], 1.0)
     (packet,) = reader.feed(raw[5:], 2.0)
@@ -194,6 +194,6 @@ def test_the_first_byte_is_dated_by_the_line(codec):
 
 
 @pytest.mark.parametrize(("codec", "unknown"), [(dxl, 253), (sts, 255)])
-def test_an_id_that_no_servo_has_is_refused(codec, unknown):
+def test_an_invalid_id_is_refused(codec, unknown):
     with pytest.raises(ValueError, match=f"0 to {codec.ID_MAX}"):
         codec.MAKE.ping(unknown)

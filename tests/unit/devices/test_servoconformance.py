@@ -1,4 +1,4 @@
-"""The servos' conformance: emulated ones that have been set up pass, and each deviation is found by its own check."""
+"""The servos' conformance test: configured emulated servos pass, and each deviation fails its own check."""
 
 import pytest
 from servo_bench import BenchTalk, ServoBench
@@ -16,7 +16,7 @@ def failures(talk):
     return {result.number: result for result in examine(talk) if result.outcome == "failed"}
 
 
-def test_servos_as_they_come_from_the_factory_need_settings():
+def test_servos_with_factory_settings_fail():
     talk = BenchTalk(ServoBench())
     found = failures(talk)
     assert set(found) == {5, 9, 12}, "the limits and the profile by time are among them"
@@ -35,7 +35,7 @@ def test_servos_as_they_come_from_the_factory_need_settings():
         (dxl.HOMING_OFFSET, -512, 5, "register 20 is -512"),
     ],
 )
-def test_a_register_that_is_wrong_is_found(bench, register, value, check, says):
+def test_a_wrong_register_is_found(bench, register, value, check, says):
     bench.rig._servos[1]._set(register, value)
     found = failures(BenchTalk(bench))
     assert found[check].servo == 2
@@ -43,13 +43,13 @@ def test_a_register_that_is_wrong_is_found(bench, register, value, check, says):
     assert found[check].fix
 
 
-def test_an_adapter_that_holds_answers_back_is_found(bench):
+def test_an_adapter_that_delays_answers_is_found(bench):
     found = failures(BenchTalk(bench, late_s=0.016))
     assert "latency timer" in found[1].fix
     assert 7 in found
 
 
-def test_a_servo_that_is_not_there_is_asked_once(bench):
+def test_a_missing_servo_is_asked_once(bench):
     bench.rig._servos[0].restart(bench.t, silent_s=1e9)
     talk = BenchTalk(bench)
     results = list(examine(talk))
@@ -58,8 +58,8 @@ def test_a_servo_that_is_not_there_is_asked_once(bench):
     assert "id 1 does not answer at 1000000 bit/s" in first[0].seen
 
 
-def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
-    """As those of the 330 size: the watchdog's register says that it has tripped, and the servo goes to its goal."""
+def test_a_servo_that_moves_on_during_silence_is_found(bench):
+    """As the 330 size does: the watchdog's register reports that it has tripped, and the servo goes to its goal."""
     servo = bench.rig._servos[0]
     stop, servo._stop = servo._stop, lambda t: stop(t) if t >= servo._t_arrival else None
     found = failures(BenchTalk(bench))
@@ -68,7 +68,7 @@ def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_status_return_level_is_named_and_no_cable_blamed(bench, level):
+def test_a_wrong_status_return_level_is_reported_as_such_and_not_as_a_cable_fault(bench, level):
     bench.rig._servos[0]._set(dxl.STATUS_LEVEL, level)
     found = [result for result in failures(BenchTalk(bench)).values() if result.servo == 1]
     assert found

@@ -1,4 +1,4 @@
-"""The servos' host on the emulated bus of each make: set up, armed, following, stopped, and what servos do instead."""
+"""The servos' host on the emulated bus of each make: set-up, arming, following, stopping, and servo failures."""
 
 import math
 import random
@@ -33,7 +33,7 @@ def following(kind, **how):
 
 
 @of_every_make
-def test_it_sets_what_the_factory_left_and_nothing_twice_even_without_power(kind):
+def test_factory_settings_are_changed_once_even_without_power(kind):
     bench = ServoBench(kind=kind).go(1.0)
     assert bench.host.state is ArmState.READY
     changed = bench.host.counters.registers_set
@@ -49,7 +49,7 @@ def test_it_sets_what_the_factory_left_and_nothing_twice_even_without_power(kind
 
 
 @of_every_make
-def test_it_arms_where_it_stands_and_follows_as_far_as_friction_lets_it(kind):
+def test_arming_keeps_the_pose_and_the_servos_follow_within_friction(kind):
     bench = following(kind).go(2.0)
     reported = [report for report in bench.reports if report.t_sample > bench.t - 1.5]
     off = [
@@ -66,7 +66,7 @@ def test_it_arms_where_it_stands_and_follows_as_far_as_friction_lets_it(kind):
 
 
 @of_every_make
-def test_palms_are_off_what_is_reported_by_half_of_the_play(kind):
+def test_palms_deviate_from_the_report_by_half_of_the_play(kind):
     bench = ServoBench(kind=kind).go(1.0)
     assert 15 < len([r for r in bench.reports if r.t_sample > 0.2]) < 18, "twenty times a second"
     bench.armed().go(0.5)
@@ -92,7 +92,7 @@ def test_a_planned_stop_comes_to_rest_and_holds(kind):
 
 @of_every_make
 @pytest.mark.parametrize(("name", "code"), [("overload", "overload"), ("overheat", "hot"), ("undervoltage", "voltage")])
-def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_clears_it(kind, name, code):
+def test_a_hardware_error_is_reported_within_a_tenth_of_a_second_and_cleared_by_reset(kind, name, code):
     bench = following(kind).go(1.0)
     bench.play(name)
     t = bench.t
@@ -109,7 +109,7 @@ def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_clears_i
 
 
 @of_every_make
-def test_a_servo_that_loses_its_power_while_it_follows_is_noticed(kind):
+def test_a_servo_that_loses_power_while_following_is_detected(kind):
     bench = following(kind).go(1.0)
     bench.play("brownout")
     bench.go(1.0)
@@ -126,12 +126,12 @@ def test_servos_come_to_rest_when_the_host_dies(kind):
     bench.go(0.3)
     bench.deaf = False
     bench.go(0.5)
-    assert bench.host.state is ArmState.READY, "a silence of more than 250 ms ends the link; it begins anew"
+    assert bench.host.state is ArmState.READY, "a silence of more than 250 ms ends the link; it starts again"
     assert not bench.host.tracking
 
 
 @of_every_make
-def test_a_spoilt_line_costs_cycles_and_no_more(kind):
+def test_a_damaged_line_costs_only_cycles(kind):
     dice = random.Random(3)
 
     def spoil(data):
@@ -148,7 +148,7 @@ def test_a_spoilt_line_costs_cycles_and_no_more(kind):
 
 
 @of_every_make
-def test_unplugging_is_noticed_and_plugging_in_begins_anew(kind):
+def test_unplugging_is_detected_and_the_link_returns_after_replugging(kind):
     bench = following(kind).go(0.5)
     bench.host.disconnected()
     assert bench.host.lost(bench.t)
@@ -158,7 +158,7 @@ def test_unplugging_is_noticed_and_plugging_in_begins_anew(kind):
 
 
 @of_every_make
-def test_random_bytes_raise_nothing_and_the_host_moves_on(kind):
+def test_random_bytes_raise_nothing_and_the_host_continues(kind):
     bench, dice = following(kind).go(0.2), random.Random(5)
     for _ in range(1000):
         bench.host.feed(dice.randbytes(dice.randrange(30)), bench.t)
@@ -168,7 +168,7 @@ def test_random_bytes_raise_nothing_and_the_host_moves_on(kind):
 
 
 @of_every_make
-def test_servos_that_palmd_has_set_up_pass_every_check_of_their_make(kind):
+def test_configured_servos_pass_every_check_of_their_make(kind):
     bench = ServoBench(kind=kind).go(1.0)
     talk = BenchTalk(bench)
     results = list(examine(talk))
@@ -176,10 +176,10 @@ def test_servos_that_palmd_has_set_up_pass_every_check_of_their_make(kind):
     made = [check for check in CHECKS if check.applies_to(talk.axes[0].make)]
     assert len(results) == 2 * (len(made) - 1) + 1
     assert len(made) == {"dynamixel": 12, "feetech": 9}[kind]
-    assert not any(servo.torque for servo in bench.rig._servos), "and are left without torque"
+    assert not any(servo.torque for servo in bench.rig._servos), "the torque is off afterwards"
 
 
-def test_a_servo_gives_under_load_as_published_and_tells_it():
+def test_a_servo_yields_under_load_as_published_and_reports_it():
     bench = ServoBench(kind="feetech").armed()
     before = bench.reports[-1].pose.joints_rad[0]
     bench.go(0.5)
@@ -191,7 +191,7 @@ def test_a_servo_gives_under_load_as_published_and_tells_it():
     assert bench.host.tracking
 
 
-def test_a_short_silence_trips_the_watchdog_which_is_told_and_reset():
+def test_a_short_silence_trips_the_watchdog_which_is_reported_and_reset():
     bench = following("dynamixel").go(0.5)
     bench.deaf = True
     bench.go(0.150)
@@ -208,7 +208,7 @@ def test_a_short_silence_trips_the_watchdog_which_is_told_and_reset():
     assert bench.armed().host.tracking
 
 
-def test_a_goal_that_is_not_taken_is_noticed_by_reading_it_back():
+def test_a_goal_that_is_not_accepted_is_detected_by_reading_it_back():
     bench = following("dynamixel").go(1.0)
     servo = bench.rig._servos[1]
     servo._set(dxl.MAX_POSITION, servo.get(dxl.GOAL))
@@ -218,7 +218,7 @@ def test_a_goal_that_is_not_taken_is_noticed_by_reading_it_back():
     assert not bench.host.tracking
 
 
-def test_the_end_of_the_bus_is_the_end_of_the_link():
+def test_a_broken_bus_ends_the_link():
     bench = following("dynamixel").go(0.5)
     bench.play("power_off")
     t = bench.t
@@ -229,7 +229,7 @@ def test_the_end_of_the_bus_is_the_end_of_the_link():
     assert bench.host.state is ArmState.READY
 
 
-def test_a_servo_whose_watchdog_does_not_stop_it_is_refused():
+def test_a_servo_not_stopped_by_its_watchdog_is_refused():
     bench = ServoBench()
     bench.rig._servos[1]._set(dxl.MODEL, 1200)
     bench.go(1.0)
@@ -239,7 +239,7 @@ def test_a_servo_whose_watchdog_does_not_stop_it_is_refused():
     assert not bench.go(0.3).host.tracking
 
 
-def test_goals_beyond_a_servos_range_are_kept_inside_and_counted():
+def test_goals_beyond_a_servos_range_are_clamped_and_counted():
     bench = following("dynamixel")
     bench.target = lambda _t: (math.radians(-30.0), HOME[1])
     bench.go(0.5)
@@ -249,24 +249,24 @@ def test_goals_beyond_a_servos_range_are_kept_inside_and_counted():
 
 
 @pytest.mark.parametrize(("baud", "period_s"), [(115200, 0.040), (1_000_000, 0.010), (4_000_000, 0.010)])
-def test_a_cycle_leaves_half_of_the_bus_free(baud, period_s):
+def test_a_cycle_leaves_half_of_the_bus_time_free(baud, period_s):
     assert cycle_period(baud, 2, dxl.MAKE) == period_s
 
 
-def test_at_a_slow_bus_it_still_follows():
+def test_servos_follow_on_a_slow_bus():
     bench = following("dynamixel", baud=115200).go(2.0)
     assert bench.host.tracking
     assert bench.host.counters.missed == 0
 
 
 @pytest.mark.parametrize("held_ms", [1, 8, 16, 17, 25, 35])
-def test_an_adapter_that_holds_answers_back_arms_and_follows(held_ms):
+def test_an_adapter_that_delays_answers_arms_and_follows(held_ms):
     bench = ServoBench(held_s=held_ms * 1e-3).go(1.0)
     assert bench.host.state is ArmState.READY
     bench.host.request_tracking()
     while bench.t < 2.0 and not bench.host.tracking:
         bench.go(5e-4)
-        assert bench.host.linked(bench.t), "answers are life"
+        assert bench.host.linked(bench.t), "answers keep the link alive"
     bench.target = lambda t: (HOME[0] + 0.1 * math.sin(3.0 * (t - 1.0)), HOME[1])
     bench.go(3.0)
     assert bench.host.tracking
@@ -277,7 +277,7 @@ def test_an_adapter_that_holds_answers_back_arms_and_follows(held_ms):
 
 
 def refuses_torque(servo):
-    """Has a servo take everything but its torque."""
+    """Makes a servo refuse only its torque."""
     write = servo.write
 
     def without_torque(address, data, t):
@@ -297,7 +297,7 @@ def test_a_failed_arm_turns_off_the_torque_that_it_turned_on():
     assert not any(servo.torque for servo in bench.rig._servos)
 
 
-def test_an_arm_that_takes_long_is_no_loss_of_the_link():
+def test_slow_arming_is_no_loss_of_the_link():
     bench = ServoBench(held_s=0.039).go(2.0)
     refuses_torque(bench.rig._servos[1])
     bench.host.request_tracking()
@@ -308,7 +308,7 @@ def test_an_arm_that_takes_long_is_no_loss_of_the_link():
     assert not any(servo.torque for servo in bench.rig._servos)
 
 
-def test_a_failed_arm_leaves_what_held_before_holding():
+def test_a_failed_arm_keeps_the_torque_of_servos_that_held_before():
     bench = following("dynamixel").go(0.5)
     bench.host.request_stop()
     bench.go(0.5)
@@ -321,7 +321,7 @@ def test_a_failed_arm_leaves_what_held_before_holding():
 
 
 @pytest.mark.parametrize("after_s", [0.002, 0.004, 0.006])
-def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
+def test_an_arm_ended_by_a_silent_servo_leaves_no_torque_on(after_s):
     bench = ServoBench().go(1.0)
     bench.host.request_tracking()
     bench.go(after_s)
@@ -335,7 +335,7 @@ def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
         assert not bench.rig._servos[0].torque
 
 
-def test_a_stop_while_it_arms_turns_the_torque_off_again():
+def test_a_stop_during_arming_turns_the_torque_off_again():
     bench = ServoBench().go(1.0)
     bench.host.request_tracking()
     bench.go(0.5, lambda: any(servo.torque for servo in bench.rig._servos))
@@ -346,7 +346,7 @@ def test_a_stop_while_it_arms_turns_the_torque_off_again():
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_status_return_level_that_somebody_left_is_set_right(level):
+def test_a_wrong_status_return_level_is_corrected(level):
     bench = ServoBench()
     for servo in bench.rig._servos:
         servo._set(dxl.STATUS_LEVEL, level)
@@ -356,7 +356,7 @@ def test_a_status_return_level_that_somebody_left_is_set_right(level):
     assert bench.armed().host.tracking
 
 
-def test_a_lost_bus_names_the_latency_timer_when_answers_were_slow():
+def test_a_lost_bus_with_slow_answers_names_the_latency_timer():
     bench = ServoBench(held_s=0.016).go(1.0)
     bench.host.request_tracking()
     bench.play("power_off")

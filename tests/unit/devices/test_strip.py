@@ -1,4 +1,4 @@
-"""A strip's packets: the firmware's logic, compiled here, beside the decoder; every split, garbage, silence."""
+"""A strip's packets: the firmware's logic, compiled here, against the decoder; splits, garbage, silence."""
 
 import ctypes
 import shutil
@@ -51,7 +51,7 @@ def firmware(tmp_path_factory):
 
 
 def run(firmware, touches, t_us=0, step_us=250):
-    """The packets, with the times (us) when they were made, of a strip that is touched as `touches` says at each ms."""
+    """The packets, with their times (us), of a strip that is touched as `touches` gives for each ms."""
     state, out, said = State(), ctypes.create_string_buffer(12), []
     for step in range(len(touches) * 1000 // step_us):
         now = (t_us + step * step_us) % 2**32
@@ -64,7 +64,7 @@ def run(firmware, touches, t_us=0, step_us=250):
     return said
 
 
-def test_the_decoder_reads_what_the_firmware_says(firmware):
+def test_the_decoder_reads_the_firmwares_packets(firmware):
     said = run(firmware, [(1000 + ms, 400) for ms in range(500)])
     packets = StripDecoder(BAUD).feed(b"".join(raw for _, raw in said), 10.0)
     assert len(packets) == 50, "a hundred a second"
@@ -74,13 +74,13 @@ def test_the_decoder_reads_what_the_firmware_says(firmware):
     assert said[0][1] == encode(first.x_counts, first.pressure, 0, age_s=120e-6)
 
 
-def test_untouched_it_says_so_once_and_then_twenty_times_a_second(firmware):
+def test_an_untouched_strip_reports_at_once_and_then_twenty_times_a_second(firmware):
     said = run(firmware, [(0, 0)] * 200 + [(5000, 300)] * 100 + [(0, 0)] * 300)
     packets = StripDecoder(BAUD).feed(b"".join(raw for _, raw in said), 10.0)
     touched = [p.in_use for p in packets]
     assert touched == [False] * 4 + [True] * 10 + [False] * 6
     lift = said[14][0]
-    assert 300_000 <= lift <= 310_000, "the lift-off is told at once"
+    assert 300_000 <= lift <= 310_000, "the lift-off is sent at once"
     assert said[15][0] - lift == pytest.approx(50_000, abs=10_000)
 
 
@@ -91,12 +91,12 @@ def test_a_touch_near_the_threshold_does_not_flicker(firmware):
     assert changes == 1
 
 
-def test_the_clock_of_the_board_may_wrap(firmware):
+def test_the_boards_clock_may_wrap(firmware):
     at_wrap = run(firmware, [(1000, 400)] * 200, t_us=2**32 - 100_000)
     assert [t for t, _ in at_wrap] == [t for t, _ in run(firmware, [(1000, 400)] * 200)]
 
 
-def test_force_is_conductance(firmware):
+def test_force_is_proportional_to_conductance(firmware):
     assert firmware.strip_force(2048, 0) == 0
     assert firmware.strip_force(2000, 1000) == 256
     assert firmware.strip_force(2000, 1999) == FORCE_MAX
@@ -104,20 +104,20 @@ def test_force_is_conductance(firmware):
 
 
 @given(st.lists(st.one_of(PACKETS, GARBAGE), max_size=8), st.data())
-def test_every_split_gives_the_same_and_every_byte_is_counted(pieces, data):
+def test_every_split_of_the_bytes_gives_the_same_and_every_byte_is_counted(pieces, data):
     stream = b"".join(pieces)
     edges = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
     whole, cut = StripDecoder(BAUD), StripDecoder(BAUD)
     expected = whole.feed(stream, 1.0)
     found = [p for a, b in zip([0, *edges], [*edges, len(stream)], strict=True) for p in cut.feed(stream[a:b], 1.0)]
-    told = [(p.sequence, p.x_counts, p.pressure, p.in_use) for p in found]
-    assert told == [(p.sequence, p.x_counts, p.pressure, p.in_use) for p in expected]
+    decoded = [(p.sequence, p.x_counts, p.pressure, p.in_use) for p in found]
+    assert decoded == [(p.sequence, p.x_counts, p.pressure, p.in_use) for p in expected]
     for decoder in (whole, cut):
         counters = decoder.counters
         assert counters.bytes == len(stream) == 12 * counters.packets + counters.discarded + decoder.pending
 
 
-def test_a_spoilt_packet_is_dropped_and_a_lost_one_is_missed():
+def test_a_damaged_packet_is_dropped_and_a_lost_one_is_counted():
     decoder = StripDecoder(BAUD)
     spoilt = bytearray(encode(1, 2, 1))
     spoilt[5] ^= 1
@@ -126,7 +126,7 @@ def test_a_spoilt_packet_is_dropped_and_a_lost_one_is_missed():
     assert (decoder.counters.crc_errors, decoder.counters.lost) == (1, 1)
 
 
-def test_readings_are_as_old_as_the_packet_says():
+def test_readings_have_the_age_given_in_the_packet():
     (packet,) = StripDecoder(BAUD).feed(encode(1, 2, 0, age_s=0.002), 1.0)
     assert packet.t_first == pytest.approx(1.0 - 11 * 10 / BAUD - 0.002)
 
@@ -137,12 +137,12 @@ def strip(**values):
     return driver
 
 
-def test_a_force_at_its_end_of_scale_is_none():
+def test_a_force_at_the_end_of_the_scale_is_none():
     (sample,) = strip().feed(encode(5460, FORCE_MAX, 0, saturated=True), 1.0)
     assert sample.force is None
 
 
-def test_another_firmware_is_told():
+def test_an_unknown_firmware_is_reported():
     driver = strip()
     import palmd.devices.strip as module
 

@@ -1,4 +1,4 @@
-"""Arrays of pressure sensors: the bytes of each protocol, places, forces, and the band."""
+"""Arrays of pressure sensors: the bytes of each protocol, positions, forces, and their uncertainty."""
 
 import math
 
@@ -23,7 +23,7 @@ def array(protocol="text", rows=20, columns=4, pitch_mm=3.0, **values):
 
 
 def counts_of(position_mm, config, width_mm, total=2000.0):
-    """Exact counts of a logistic contact (the profile that the host assumes) at a place from the first row's middle."""
+    """Exact counts of a logistic contact (the profile assumed by the host) at a distance from the first row."""
     edges = (np.arange(config.rows + 1) - 0.5) * config.pitch_mm
     shares = np.diff(1.0 / (1.0 + np.exp(-(edges - position_mm) / (width_mm * math.sqrt(3.0) / math.pi))))
     return np.repeat(shares[:, None] * total / config.columns, config.columns, axis=1)
@@ -38,12 +38,12 @@ def read(config, counts):
     return report
 
 
-def test_the_stream_of_a_module_of_7_by_4_begins_with_the_documented_command():
+def test_the_start_command_of_a_module_of_7_by_4_is_the_documented_one():
     config = array("tsf85", 7, pitch_mm=5.0)
     assert TaxelDecoder(config).protocol.startup() == bytes.fromhex("9A 00 58 01 0A"), "every 10 ms"
 
 
-def test_a_frame_of_every_field_is_read_big_endian_whatever_its_checksum_byte_is():
+def test_a_frame_of_every_field_is_read_big_endian_whatever_its_checksum_byte():
     config = array("tsf85", 7, pitch_mm=5.0)
     values = np.arange(28)
     fields = tsf85_field(taxels.TIME, 0, bytes(8)) + tsf85_field(taxels.PRESSURES, 0, values.astype(">u2").tobytes())
@@ -54,7 +54,7 @@ def test_a_frame_of_every_field_is_read_big_endian_whatever_its_checksum_byte_is
     assert report.pressure == values.sum()
 
 
-def test_two_modules_are_one_pad_and_half_of_them_none():
+def test_two_modules_form_one_pad_and_a_single_one_none():
     config = array("tsf85", 14, pitch_mm=5.0)
     decoder = TaxelDecoder(config)
 
@@ -94,7 +94,7 @@ def test_an_exception_is_counted_and_named():
     assert "Modbus exceptions" in bench.driver.diagnosis
 
 
-def test_questions_that_nothing_answers_are_named():
+def test_unanswered_queries_are_reported():
     bench = PadBench(KINDS["st0001"])
     bench.plugged = False
     bench.go(1.0)
@@ -102,20 +102,20 @@ def test_questions_that_nothing_answers_are_named():
 
 
 @pytest.mark.parametrize("text", ["1, 2;3\t4", " 1 2  3 ,4 ", "0001 2 3 4;"])
-def test_numbers_may_be_parted_by_spaces_tabs_commas_and_semicolons(text):
+def test_numbers_may_be_separated_by_spaces_tabs_commas_and_semicolons(text):
     config = array(rows=4, columns=1, touch_n=0.001)
     (report,) = TaxelDecoder(config).feed(b"boot\n" + text.encode() + b"\r\n", 1.0)
     assert report.pressure == 10
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "1 2 3 4 5", "1 2 x 4", "-1 2 3 4", "1 2 3 4000000", "", "# 1 2 3 4"])
-def test_another_line_is_no_frame(text):
+def test_any_other_line_is_no_frame(text):
     decoder = TaxelDecoder(array(rows=4, columns=1))
     assert decoder.feed(b"\n" + text.encode() + b"\n", 1.0) == []
     assert decoder.counters.discarded == decoder.counters.bytes
 
 
-def test_the_first_line_may_have_begun_before_and_is_none():
+def test_an_incomplete_first_line_is_ignored():
     decoder = TaxelDecoder(array(rows=4, columns=1, touch_n=0.001))
     assert decoder.feed(b"34 2 3 4\n", 1.0) == []
     assert len(decoder.feed(b"1 2 3 4\n", 1.1)) == 1
@@ -123,7 +123,7 @@ def test_the_first_line_may_have_begun_before_and_is_none():
     assert decoder.feed(b"34 2 3 4\n", 1.2) == []
 
 
-def test_a_place_is_right_up_to_where_the_arrays_end_hides_much_of_the_profile():
+def test_positions_are_right_until_the_arrays_end_hides_much_of_the_profile():
     config = array(contact_width_mm=2.0, newtons_per_count=1e-6)
     for place in np.linspace(1.5, 55.5, 40):
         report = read(config, counts_of(place, config, 2.0, 8e5))
@@ -133,7 +133,7 @@ def test_a_place_is_right_up_to_where_the_arrays_end_hides_much_of_the_profile()
     assert beyond.unlocated
 
 
-def test_two_contacts_have_no_place():
+def test_two_contacts_have_no_position():
     config = array(contact_width_mm=2.0)
     report = read(config, counts_of(9.0, config, 2.0) + counts_of(45.0, config, 2.0))
     assert report.in_use
@@ -148,7 +148,7 @@ def test_a_touch_begins_at_its_threshold_and_ends_at_half_of_it():
     assert found == [False, True, True, False, False, True]
 
 
-def test_what_taxels_count_at_rest_is_no_force():
+def test_counts_at_rest_are_no_force():
     config = array(rest_counts=20)
     assert not read(config, np.full((20, 4), 20.0)).in_use
     touched = read(config, counts_of(30.0, config, 2.0) + 20.0)
@@ -167,8 +167,8 @@ def test_a_saturated_taxel_bounds_the_force_from_below():
 
 @pytest.mark.parametrize("ratio", [0.3, 0.4, 0.5, 0.7])
 @pytest.mark.parametrize("kind", ["text", "st0001"])
-def test_the_band_of_a_place_is_its_error_over_many_skins(kind, ratio):
-    """The emulated skins have another profile than the host assumes, and widths of their own."""
+def test_the_sd_of_a_position_is_its_error_over_many_skins(kind, ratio):
+    """The emulated skins have another profile than the host assumes, and various widths."""
     base = KINDS[kind]
     config = base.model_copy(
         update={
@@ -192,13 +192,13 @@ def test_the_band_of_a_place_is_its_error_over_many_skins(kind, ratio):
     assert rms >= 0.3 * band
 
 
-def test_what_an_observer_weighs_a_reading_by_counts_the_error_as_often_as_it_is_repeated():
+def test_the_reading_noise_includes_repeated_errors():
     config = array(noise_mm=0.05)
     sensor = pad_sensor(config, 0.0)
     assert sensor.noise == pytest.approx(config.reading_noise_mm * 1e-3)
     assert sensor.noise > 3.0 * math.hypot(config.grid_sd_mm, config.gain_sd_mm) * 1e-3
     finer = array(noise_mm=0.05, pitch_mm=1.5, rows=40, taxel_gain_sd=0.0)
-    assert finer.reading_noise_mm == pytest.approx(0.05, rel=0.05), "a grid much finer than the contact makes no error"
+    assert finer.reading_noise_mm == pytest.approx(0.05, rel=0.05), "a grid much finer than the contact adds no error"
 
 
 @pytest.mark.parametrize(
@@ -211,13 +211,13 @@ def test_what_an_observer_weighs_a_reading_by_counts_the_error_as_often_as_it_is
         ({"rows": 10}, "end at 29.5 mm from the hinge, before length_mm"),
     ],
 )
-def test_an_array_that_cannot_be_is_refused(values, says):
+def test_an_impossible_array_is_refused(values, says):
     with pytest.raises(ValidationError, match=says):
         array(**values)
 
 
 @pytest.mark.parametrize("kind", ["tsf85", "st0001", "text"])
-def test_reports_come_as_often_as_the_line_carries_them(kind):
+def test_reports_have_the_rate_that_the_line_allows(kind):
     bench = PadBench(KINDS[kind]).go(0.1).touched(0.03, 1.0)
     found = len(bench.samples())
     assert found == pytest.approx(0.9 / KINDS[kind].report_s, rel=0.15)

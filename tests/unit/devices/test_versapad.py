@@ -1,4 +1,4 @@
-"""VersaPad packets worked by hand, resynchronisation, time stamps, calibration and lift-off."""
+"""VersaPad packets decoded by hand, resynchronisation, timestamps, calibration and lift-off."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_twelve_bit_twos_complement(low: int, high: int, counts: int) -> None:
     assert encode_packet(counts, counts, 0)[1:5] == bytes([low, high, low, high])
 
 
-def test_encoding_refuses_what_does_not_fit() -> None:
+def test_encoding_refuses_values_out_of_range() -> None:
     with pytest.raises(ValueError, match="x_counts"):
         encode_packet(2048, 0, 0)
     with pytest.raises(ValueError, match="y_counts"):
@@ -87,7 +87,7 @@ def test_impossible_pressure_formats_are_refused(wrong: dict[str, int]) -> None:
 # Resynchronisation
 
 
-def test_header_in_mid_packet_starts_a_new_one() -> None:
+def test_a_header_in_mid_packet_starts_a_new_one() -> None:
     decoder = VersaPadDecoder(BAUD)
     assert len(decoder.feed(GOLDEN[:4] + GOLDEN, 0.0)) == 1
     assert decoder.counters.truncated == 4
@@ -105,7 +105,7 @@ def test_header_in_mid_packet_starts_a_new_one() -> None:
         ("c4 3b 3f 07 40", 5),
     ],
 )
-def test_illegal_byte_discards_the_packet_in_hand(spoilt: str, lost: int) -> None:
+def test_an_illegal_byte_discards_the_current_packet(spoilt: str, lost: int) -> None:
     decoder = VersaPadDecoder(BAUD)
     assert len(decoder.feed(bytes.fromhex(spoilt) + GOLDEN, 0.0)) == 1
     assert decoder.counters.bad_data == lost
@@ -118,7 +118,7 @@ def test_bytes_outside_a_packet_are_bad_headers() -> None:
     assert decoder.counters.bad_header == 7
 
 
-def test_reset_discards_the_packet_in_hand() -> None:
+def test_reset_discards_the_current_packet() -> None:
     decoder = VersaPadDecoder(BAUD)
     decoder.feed(GOLDEN[:3], 0.0)
     decoder.reset()
@@ -136,13 +136,13 @@ def test_reset_discards_the_packet_in_hand() -> None:
     }
 
 
-def test_packet_cut_by_a_usb_adapter_survives() -> None:
+def test_a_packet_split_by_a_usb_adapter_is_read() -> None:
     decoder = VersaPadDecoder(BAUD)
     decoder.feed(GOLDEN[:2], 0.0)
     assert len(decoder.feed(GOLDEN[2:], 0.020)) == 1
 
 
-def test_tail_of_a_much_later_packet_completes_nothing() -> None:
+def test_the_tail_of_a_much_later_packet_completes_nothing() -> None:
     decoder = VersaPadDecoder(BAUD)
     decoder.feed(GOLDEN[:2], 0.0)
     assert decoder.feed(GOLDEN[2:], 0.050) == []
@@ -194,7 +194,7 @@ def pad(**values: object) -> PadDriver:
 
 
 def sampled(driver: PadDriver, x_counts: int, y_counts: int = 0, pressure: int = 50) -> PadSample | None:
-    """The contact in a packet of its own."""
+    """The contact in a single packet."""
     (event,) = driver.feed(encode_packet(x_counts, y_counts, pressure), 1.0) or [None]
     assert not isinstance(event, PadLift)
     return event
@@ -212,7 +212,7 @@ def test_axis_and_sign() -> None:
     assert got.s == pytest.approx(0.028 + 0.1 / 7.874)
 
 
-def test_readings_off_the_pad_are_no_contacts_and_counted() -> None:
+def test_readings_off_the_pad_are_counted_and_are_no_contacts() -> None:
     driver = pad(zero_mm=0.0, counts_per_mm=10.0, length_mm=50.0)
     farthest = round((50 + MARGIN_MM) * 10)
     found = [sampled(driver, counts) is not None for counts in (0, 1, farthest, farthest + 1)]
@@ -220,7 +220,7 @@ def test_readings_off_the_pad_are_no_contacts_and_counted() -> None:
     assert driver.counts()["out_of_range"] == 2
 
 
-def test_a_pad_that_reads_both_coordinates_tells_where_across() -> None:
+def test_a_pad_that_reads_both_coordinates_reports_the_position_across() -> None:
     driver = make_pad(1, PlanePadConfig(port="a", counts_per_mm=10.0, length_mm=75.0, across_sign=-1))
     got = sampled(driver, 0, 100)
     assert got is not None
@@ -234,7 +234,7 @@ def test_saturated_pressure_is_no_force() -> None:
     assert (got.force, got.at_least) == (None, pytest.approx(2.54))
 
 
-def test_garbage_is_told_at_the_next_look_and_only_then() -> None:
+def test_garbage_is_reported_at_the_next_check_only() -> None:
     driver = pad()
     driver.feed(b"\x3f" * 100, 1.0)
     assert [list(driver.health(refresh)) for refresh in (False, True, False)] == [[], ["garbled"], ["garbled"]]
@@ -250,7 +250,7 @@ class FakePort(Port):
         self.breaks.append(active)
 
 
-def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer() -> None:
+def test_a_handshake_holds_the_port_in_break_and_reports_a_missing_answer() -> None:
     driver, port = pad(handshake="break"), FakePort()
     driver.opened(0.0)
     for i in range(200):
@@ -265,7 +265,7 @@ def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer() -
 # Lift-off
 
 
-def test_flag_lifts_once() -> None:
+def test_the_flag_gives_one_lift() -> None:
     touch = TouchTracker(1, PACKET_S)
     assert touch.report(packet(1.0)) is None
     assert touch.touching
@@ -274,7 +274,7 @@ def test_flag_lifts_once() -> None:
     assert not touch.touching
 
 
-def test_silence_of_five_mean_intervals_lifts_once() -> None:
+def test_silence_of_five_mean_intervals_gives_one_lift() -> None:
     touch = TouchTracker(2, PACKET_S)
     for n in range(200):
         touch.report(packet(n * 0.012))
@@ -287,7 +287,7 @@ def test_silence_of_five_mean_intervals_lifts_once() -> None:
     assert touch.poll(t_last + 1.0) is None
 
 
-def test_mean_interval_stays_within_what_the_line_can_do() -> None:
+def test_the_mean_interval_stays_within_the_lines_capacity() -> None:
     touch = TouchTracker(1, PACKET_S)
     for n in range(100):
         touch.report(packet(n * 10.0))
@@ -299,7 +299,7 @@ def test_mean_interval_stays_within_what_the_line_can_do() -> None:
 
 
 def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]:
-    """A touched pad that has reported at these intervals (s), again and again; and when it did last."""
+    """A touched pad that has reported at these intervals (s), repeatedly; and the time of the last report."""
     touch, t = TouchTracker(1, PACKET_S, PACKET_S), 1.0
     for number in range(lots):
         t += intervals[number % len(intervals)]
@@ -308,14 +308,14 @@ def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]
     return touch, t
 
 
-def test_a_dead_line_is_told_sooner_from_a_pad_that_never_pauses_so_long() -> None:
+def test_a_dead_line_is_detected_sooner_if_the_pad_never_pauses() -> None:
     touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
     assert touch.patience_s == pytest.approx(1.2 * 0.01875 + 0.004 - PACKET_S)
     assert touch.poll(t + touch.patience_s - 1e-4) is None
     assert touch.poll(t + touch.patience_s + 1e-4) is not None
 
 
-def test_a_line_that_still_brings_bytes_has_the_patience_of_five() -> None:
+def test_a_line_that_still_carries_bytes_gets_five_mean_intervals() -> None:
     touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
     five_s = 5.0 * touch.mean_interval_s
     touch.bytes_received(t + 0.04)
@@ -324,7 +324,7 @@ def test_a_line_that_still_brings_bytes_has_the_patience_of_five() -> None:
     assert touch.poll(t + five_s + 1e-4) is not None
 
 
-def test_a_pad_that_has_paused_before_is_waited_for() -> None:
+def test_a_pad_that_has_paused_before_gets_five_mean_intervals() -> None:
     pauses, _ = alive([0.01] * 300 + [0.045])
     assert pauses.patience_s == pytest.approx(5.0 * pauses.mean_interval_s)
     few, _ = alive([0.01], lots=50)
@@ -332,8 +332,8 @@ def test_a_pad_that_has_paused_before_is_waited_for() -> None:
 
 
 @pytest.mark.parametrize("adapter_s", [0.001, 0.004, 0.016])
-def test_no_pause_of_a_pad_that_reports_in_bands_is_taken_for_its_end(adapter_s: float) -> None:
-    """Five minutes as the emulated pad draws it; with room to spare for the days that have more of them."""
+def test_pauses_of_a_pad_that_reports_in_bands_are_no_lift_off(adapter_s: float) -> None:
+    """Five minutes of the emulated pad's distribution of pauses."""
     rng, touch, t, heard = random.Random(23), TouchTracker(1, PACKET_S, PACKET_S), 0.0, 0.0
     for _ in range(30_000):
         begun, ended = (adapter_s * math.ceil(at / adapter_s) for at in (t + BYTE_S, t + PACKET_S))
@@ -357,7 +357,7 @@ def is_foreign(driver: PadDriver) -> bool:
     return "no pad's" in driver.evidence("silent", 1.0)
 
 
-def test_another_device_is_told_before_five_intervals_have_gone() -> None:
+def test_another_device_is_detected_within_five_intervals() -> None:
     rng, packets = random.Random(3), []
     for _ in range(200):
         driver, t, heard = touched(), 1.2, 0
@@ -371,7 +371,7 @@ def test_another_device_is_told_before_five_intervals_have_gone() -> None:
     assert sum(each > 3 for each in packets) < 0.1 * len(packets)
 
 
-def test_what_another_device_says_ends_the_touch_once_and_a_packet_begins_it_again() -> None:
+def test_bytes_of_another_device_end_the_touch_once_and_a_packet_starts_it_again() -> None:
     driver = touched()
     driver.feed(bytes((0x91, 0x83, 0xF2, 0xA0)), 1.2)
     assert driver.poll(1.2) == [PadLift(1.2, 1)]
@@ -381,8 +381,8 @@ def test_what_another_device_says_ends_the_touch_once_and_a_packet_begins_it_aga
     assert driver.touching
 
 
-def test_a_pad_that_is_damaged_is_seldom_taken_for_another_device() -> None:
-    """A fifth of its bytes flipped, doubled or made up, and heavy pressure, which looks strangest."""
+def test_a_damaged_pad_is_rarely_mistaken_for_another_device() -> None:
+    """A fifth of its bytes flipped, doubled or invented, and heavy pressure, which looks most like another device."""
     line, rng, decoder = FaultInjector(), np.random.default_rng(5), VersaPadDecoder(BAUD)
     line.add(order("garble", 0.0, "pad1", 0.2))
     line.update(0.0)
@@ -391,10 +391,10 @@ def test_a_pad_that_is_damaged_is_seldom_taken_for_another_device() -> None:
         raw = encode_packet(number % 200, -number % 200, 70 + number % 50)
         decoder.feed(line.corrupt("pad1", raw, rng), number * 0.01)
         alarms += decoder.foreign
-    assert alarms <= 2  # in a minute
+    assert alarms <= 2  # per minute
 
 
-def test_a_new_beginning_forgets_what_was_strange() -> None:
+def test_reset_forgets_suspicious_bytes() -> None:
     decoder = VersaPadDecoder(BAUD)
     for t, foreign in ((1.2, False), (1.21, False)):
         decoder.feed(bytes((0x91, 0x83, 0xF2)), t)

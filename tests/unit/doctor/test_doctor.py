@@ -1,4 +1,4 @@
-"""`palmd doctor`: each thing that may be missing is found, with the command that mends it."""
+"""`palmd doctor`: each missing prerequisite is found, with the command that fixes it."""
 
 import os
 import socket
@@ -46,7 +46,7 @@ def path(tmp_path):
 
 @contextmanager
 def terminal(link):
-    """A pseudo-terminal under a steady name; its far end's descriptor."""
+    """A pseudo-terminal under a fixed name; the descriptor of its far end."""
     with terminals.line() as (far, port):
         link.symlink_to(port)
         try:
@@ -59,7 +59,7 @@ def found(path):
     return {finding.what: finding for finding in findings(path)}
 
 
-def test_ports_that_are_not_there_are_missing_and_the_rest_is_told_all_the_same(path, capsys):
+def test_missing_ports_are_reported_and_all_other_checks_are_made(path, capsys):
     assert main(["doctor", str(path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert next(line for line in lines if "pad 1 port" in line).startswith("missing")
@@ -78,12 +78,12 @@ def test_a_bad_configuration_ends_the_list_with_its_place(path, capsys):
     assert f"palmd check {path}" in line
 
 
-def test_options_of_the_arms_test_alone_are_refused(path, capsys):
+def test_options_of_the_arm_test_alone_are_refused(path, capsys):
     assert main(["doctor", str(path), "--yes"]) == 1
     assert "--arm-conformance" in capsys.readouterr().err
 
 
-def test_all_is_well_only_if_everything_is(monkeypatch, path):
+def test_the_exit_status_is_zero_only_if_every_check_passes(monkeypatch, path):
     from palmd.doctor import findings
     from palmd.doctor.finding import Finding
 
@@ -94,7 +94,7 @@ def test_all_is_well_only_if_everything_is(monkeypatch, path):
         assert main(["doctor", str(path)]) == status
 
 
-def test_a_failed_check_tells_what_was_sent_expected_and_seen():
+def test_a_failed_check_reports_what_was_sent_expected_and_received():
     text = as_text(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
     assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
         ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
@@ -151,7 +151,7 @@ def test_observers(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["cache", "cache/deeper"])
-def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
+def test_observers_in_an_unreadable_folder(monkeypatch, tmp_path, what):
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / what))
     (tmp_path / "cache/deeper").mkdir(parents=True)
     with shut(tmp_path / "cache"):
@@ -160,7 +160,7 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     assert finding.fix == f"set XDG_CACHE_HOME to a folder of {user}'s own, then run palmd doctor build"
 
 
-def test_observers_of_who_has_no_home(monkeypatch):
+def test_observers_without_a_home_folder(monkeypatch):
     for name in ("CACHE_DIRECTORY", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
 
@@ -171,7 +171,7 @@ def test_observers_of_who_has_no_home(monkeypatch):
     assert "has no home" in machine.observers().text
 
 
-def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
+def test_an_implausible_value_is_reported(tmp_path, capsys):
     path = tmp_path / "palmd.yaml"
     ports = "pads: {palm1: {port: /dev/none1, zero_mm: 0.028}, palm2: {port: /dev/none2}}\narm: {port: /dev/none3}\n"
     path.write_text(ports)
@@ -181,7 +181,7 @@ def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
     assert line.endswith(f"did you mean 28 mm?: palmd check {path}")
 
 
-def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path):
+def test_an_unreadable_installed_configuration_is_reported(monkeypatch, tmp_path):
     folder = tmp_path / "etc"
     folder.mkdir()
     monkeypatch.setattr(configured, "INSTALLED", folder / "palmd.yaml")
@@ -205,7 +205,7 @@ def test_rights(monkeypatch, tmp_path, what, limit):
     assert "limits.d" not in finding.fix
 
 
-def test_the_daemons_start_tells_the_same_commands(monkeypatch):
+def test_the_daemons_start_suggests_the_same_commands_as_doctor(monkeypatch):
     def forbidden(*_):
         raise PermissionError(1, "Operation not permitted")
 
@@ -234,8 +234,8 @@ print(locked_memory().verdict, locked_memory().text, locks, sep="|")
 
 @pytest.mark.parametrize("rights", ["own", "stripped"])
 @pytest.mark.parametrize("limit", [1_000_000, -1], ids=["limited", "unlimited"])
-def test_locked_memory_is_judged_as_the_kernel_does(limit, rights):
-    """In a process of its own, which locks all its memory, or may not."""
+def test_locked_memory_agrees_with_the_kernel(limit, rights):
+    """In a process of its own, which tries to lock all its memory."""
     if rights == "stripped" and os.geteuid() != 0:
         pytest.skip("only root has rights to lay down")
     command = [sys.executable, "-c", LOCKING, str(limit), rights]
@@ -283,7 +283,7 @@ def test_plan(path, tmp_path):
     assert plan(load_config(path), path).verdict == "ok"
 
 
-def test_bus_is_free_or_somebody_elses(path):
+def test_a_bus_address_is_free_or_in_use(path):
     config = load_config(path)
     assert daemon(config) is None
     assert bus(config, None).verdict == "ok"
@@ -295,7 +295,7 @@ def test_bus_is_free_or_somebody_elses(path):
     assert f"sport = :{port}" in finding.fix
 
 
-def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
+def test_a_running_daemon_is_asked_about_its_ports(path, tmp_path):
     off = ["pad 1's zero seems +0.30 ± 0.03 mm off: mend it"]
     status = {"state": "ready", "faults": ["pad1-port", "arm-link-lost"], "arm_state": "R"}
     server, over = Bus(f"ipc://{tmp_path}/publish", f"ipc://{tmp_path}/command"), threading.Event()
@@ -325,7 +325,7 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
 # -- ports -----------------------------------------------------------------------------------------------------
 
 
-def test_a_port_is_there_and_nobody_has_it_or_it_may_not_be_opened(tmp_path, monkeypatch):
+def test_a_port_is_free_or_in_use_or_not_permitted(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     assert "not a serial port" in ports.port_finding("arm", str(tmp_path / "file")).text
     with socket.socket(socket.AF_UNIX) as line:
@@ -341,8 +341,8 @@ def test_a_port_is_there_and_nobody_has_it_or_it_may_not_be_opened(tmp_path, mon
 
 
 @pytest.mark.parametrize(("name", "verdict"), [("stranger", "missing"), ("palmd", "ok")])
-def test_who_has_a_port(tmp_path, name, verdict):
-    """A process that has it open, under a name of its own."""
+def test_the_process_that_has_a_port_open_is_named(tmp_path, name, verdict):
+    """A process with a known name has it open."""
     script = tmp_path / name
     script.write_text("import sys, time\nport = open(sys.argv[1], 'rb')\nprint(flush=True)\ntime.sleep(60)\n")
     with terminal(tmp_path / "arm"):
@@ -372,7 +372,7 @@ def test_latency_timers(tmp_path, monkeypatch):
         (b"", "unknown", "no reports"),
     ],
 )
-def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
+def test_a_pad_that_sends_is_detected(tmp_path, path, data, verdict, says):
     over = threading.Event()
     with terminal(tmp_path / "pad1") as master:
 
@@ -389,7 +389,7 @@ def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
     assert says in finding.text
 
 
-def test_an_arm_that_says_nothing(tmp_path, path):
+def test_a_silent_arm_is_reported(tmp_path, path):
     with terminal(tmp_path / "arm"):
         t = time.monotonic()
         finding = ports.arm_answers(str(tmp_path / "arm"), 38400, path)
@@ -398,7 +398,7 @@ def test_an_arm_that_says_nothing(tmp_path, path):
     assert "tools/adept/README.md" in finding.fix
 
 
-def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
+def test_equally_numbered_pseudo_terminals_of_containers_are_distinct_ports():
     def device(major: int, minor: int, of: int) -> os.stat_result:
         return os.stat_result((0, 0, of, 0, 0, 0, 0, 0, 0, 0), {"st_rdev": os.makedev(major, minor)})
 
@@ -408,9 +408,9 @@ def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():
     assert ports.same_port(device(188, 0, 5), device(188, 0, 6)), "a USB port is one port wherever /dev is"
 
 
-def test_who_holds_a_port_is_found(monkeypatch):
+def test_the_process_that_holds_a_port_is_found(monkeypatch):
     with terminals.line() as (_, port):
         assert os.getpid() in [process for process, _ in ports.holders(port)]
         assert ports.holders("/dev/ttyNobody") == []
-        monkeypatch.setattr(ports, "same_port", lambda *_: False)  # as if all were of a container
+        monkeypatch.setattr(ports, "same_port", lambda *_: False)  # as if every port were a container's
         assert ports.holders(port) == []

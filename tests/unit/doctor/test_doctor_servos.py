@@ -1,4 +1,4 @@
-"""`palmd doctor` with servos: what moves is asked for first, and the exit status says what came of it."""
+"""`palmd doctor` with servos: motion needs consent, and the exit status reports the result."""
 
 from contextlib import nullcontext
 
@@ -13,7 +13,7 @@ from palmd.doctor import servos
 
 @pytest.fixture
 def bench(monkeypatch):
-    """Servos as palmd sets them up, behind the port; nobody is there to be asked."""
+    """Configured servos behind the port; nobody answers questions."""
     bench = ServoBench().go(1.0)
     monkeypatch.setattr(servos, "_talk", lambda _arm: nullcontext(BenchTalk(bench)))
     monkeypatch.setattr(servos, "confirmed", lambda _question: False)
@@ -24,7 +24,7 @@ ARM = tabletop().arm
 
 
 @pytest.mark.parametrize("kind", MAKES)
-def test_with_leave_every_check_is_made_and_passed(kind, monkeypatch, capsys):
+def test_with_consent_every_check_is_made_and_passes(kind, monkeypatch, capsys):
     bench = ServoBench(kind=kind).go(1.0)
     monkeypatch.setattr(servos, "_talk", lambda _arm: nullcontext(BenchTalk(bench)))
     assert servos.examine_servos(tabletop(kind=kind).arm, sure=True) == 0
@@ -32,7 +32,7 @@ def test_with_leave_every_check_is_made_and_passed(kind, monkeypatch, capsys):
     assert f"c: {count} of {count} checks passed, 0 failed\n" in capsys.readouterr().out
 
 
-def test_without_leave_no_torque_and_no_success(bench, capsys):
+def test_without_consent_no_torque_is_applied_and_the_check_does_not_pass(bench, capsys):
     torque = []
     step = bench.rig.step
     bench.rig.step = lambda t: torque.extend(servo.torque for servo in bench.rig._servos) or step(t)
@@ -44,7 +44,7 @@ def test_without_leave_no_torque_and_no_success(bench, capsys):
     assert "checks that turn the torque on were skipped: give --yes, or answer yes" in err
 
 
-def test_servos_that_fail_at_rest_are_not_asked_to_move(bench, monkeypatch, capsys):
+def test_servos_that_fail_at_rest_are_not_moved(bench, monkeypatch, capsys):
     asked = []
     monkeypatch.setattr(servos, "confirmed", asked.append)
     bench.rig._servos[0]._set(dxl.TEMPERATURE, 68)
@@ -56,7 +56,7 @@ def test_servos_that_fail_at_rest_are_not_asked_to_move(bench, monkeypatch, caps
     assert not any(check.clause in out for check in CHECKS if check.moves)
 
 
-def test_doctors_list_names_what_is_wrong_and_how_to_mend_it(bench):
+def test_each_problem_is_named_with_its_fix(bench):
     bench.rig._servos[1]._set(dxl.TEMPERATURE, 68)
     found = list(servos.findings(ARM))
     missing = [finding for finding in found if finding.verdict != "ok"]
@@ -65,7 +65,7 @@ def test_doctors_list_names_what_is_wrong_and_how_to_mend_it(bench):
     assert "68 °C" in missing[0].text
 
 
-def test_a_port_that_cannot_be_had_is_told(monkeypatch, capsys):
+def test_a_port_that_cannot_be_opened_is_reported(monkeypatch, capsys):
     assert [(found.what, found.verdict) for found in servos.findings(ARM)] == [("servos", "missing")]
     with pytest.raises(CliError) as caught:
         servos.examine_servos(ARM, sure=True)

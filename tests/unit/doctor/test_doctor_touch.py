@@ -1,4 +1,4 @@
-"""`palmd doctor --touch`: strokes tell which pad is which, which axis counts and which way it runs."""
+"""`palmd doctor --touch`: strokes show which pad is which, which axis matters and its sign."""
 
 import os
 import threading
@@ -23,28 +23,28 @@ def stroke(heard_on, x, y=0):
     return FingerStroke(heard_on, tuple(x * k // 19 for k in steps), tuple(y * k // 19 for k in steps))
 
 
-def told(*strokes):
+def suggestions(*strokes):
     return [line.partition("  #")[0].strip() for line in changes(strokes, PADS)]
 
 
 def test_pads_as_configured():
-    assert told(stroke(1, 300, 20), stroke(2, 10, -300)) == []
+    assert suggestions(stroke(1, 300, 20), stroke(2, 10, -300)) == []
 
 
-def test_swapped_pads_are_told_with_the_ports_to_write():
-    assert told(stroke(2, 300), stroke(1, 0, -300)) == ["pads.palm1: port: two", "pads.palm2: port: one"]
+def test_swapped_pads_are_reported_with_the_ports_to_write():
+    assert suggestions(stroke(2, 300), stroke(1, 0, -300)) == ["pads.palm1: port: two", "pads.palm2: port: one"]
 
 
 def test_mirrored_and_turned_pads():
-    assert told(stroke(1, -300), stroke(2, 0, 300)) == ["pads.palm1: sign: -1", "pads.palm2: sign: 1"]
-    assert told(stroke(1, 0, 300), stroke(2, -300)) == ["pads.palm1: axis: y", "pads.palm2: axis: x"]
+    assert suggestions(stroke(1, -300), stroke(2, 0, 300)) == ["pads.palm1: sign: -1", "pads.palm2: sign: 1"]
+    assert suggestions(stroke(1, 0, 300), stroke(2, -300)) == ["pads.palm1: axis: y", "pads.palm2: axis: x"]
 
 
 @pytest.mark.parametrize("strokes", [(stroke(1, 300), stroke(1, 300)), (stroke(1, 200, 180), stroke(2, 0, -300)),
                                      (stroke(1, 0), stroke(2, 0, -300))])  # fmt: skip
-def test_strokes_that_tell_nothing(strokes):
+def test_ambiguous_strokes_are_an_error(strokes):
     with pytest.raises(CliError):
-        told(*strokes)
+        suggestions(*strokes)
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def slide(master, counts):
         time.sleep(0.01)
 
 
-def test_both_pads_by_hand(monkeypatch, capsys, rig):
+def test_strokes_by_hand_identify_both_pads(monkeypatch, capsys, rig):
     masters, path = rig
     asked = [threading.Event(), threading.Event()]
 
@@ -86,7 +86,7 @@ def test_both_pads_by_hand(monkeypatch, capsys, rig):
     assert [line.split(":")[1].strip() for line in lines if line.startswith("pads.palm")] == ["port", "port", "sign"]
 
 
-def test_nobody_touches(monkeypatch, capsys, rig):
+def test_without_any_touch_the_check_ends(monkeypatch, capsys, rig):
     monkeypatch.setattr(touch, "TOUCH_WITHIN_S", 0.2)
     assert main(["doctor", str(rig[1]), "--touch"]) == 3
     assert "no stroke within" in capsys.readouterr().err

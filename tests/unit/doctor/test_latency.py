@@ -1,4 +1,4 @@
-"""`palmd doctor latency`: each tick is counted once, the percentiles are numpy's, the timers tell what they are."""
+"""`palmd doctor latency`: each tick is counted once, percentiles agree with NumPy, and timers are named."""
 
 import json
 import math
@@ -13,19 +13,19 @@ from palmd.doctor import load, wakeups
 from palmd.doctor.lateness import Case, TickLateness, branches, lines, percentiles, table
 
 
-def test_each_tick_is_counted_once_and_none_is_left_out():
+def test_each_tick_is_counted_exactly_once():
     statistics, gathered = LoopStatistics(100.0), TickLateness()
     true = np.random.default_rng(0).exponential(1e-3, 1000)
     gathered.take(statistics.fields())
     for k, lateness in enumerate(true):
         statistics.tick(lateness, 1e-3, 2 if k % 100 == 50 else 0)
-        if k % 97 == 96 or k == 999:  # messages come as they come
+        if k % 97 == 96 or k == 999:  # messages come irregularly
             gathered.take(statistics.fields())
     assert gathered.values_ms == pytest.approx(list(true * 1e3))
     assert gathered.skipped == 20
 
 
-def test_what_was_before_the_first_message_does_not_count():
+def test_ticks_before_the_first_message_do_not_count():
     statistics, gathered = LoopStatistics(100.0), TickLateness()
     for _ in range(150):
         statistics.tick(0.5, 1e-3, 1)
@@ -36,7 +36,7 @@ def test_what_was_before_the_first_message_does_not_count():
     assert gathered.skipped == 0
 
 
-@pytest.mark.parametrize("count", [1, 10, 999, 1001])  # at 1000 numpy takes 99.9 % for a little more
+@pytest.mark.parametrize("count", [1, 10, 999, 1001])  # at 1000 NumPy rounds 99.9 % up
 def test_percentiles_agree_with_numpy(count):
     values = np.random.default_rng(count).exponential(size=count)
     expected = [np.percentile(values, p, method="inverted_cdf") for p in (50, 99, 99.9, 100)]
@@ -44,19 +44,19 @@ def test_percentiles_agree_with_numpy(count):
     assert all(map(math.isnan, percentiles([])))
 
 
-def test_the_table_has_the_ratio_of_the_99th_percentiles_and_says_what_is_missing():
+def test_the_table_has_ratios_of_99th_percentiles_and_marks_missing_values():
     ticks = [0.1] * 98 + [0.3] * 2
-    told = table([Case("idle", ticks, 1, [0.2] * 100), Case("busy", ticks, 0, ())], "cyclictest").splitlines()
-    assert told[1].split() == ["idle", "100", "1", "0.100", *["0.300"] * 3, *["0.200"] * 4, "1.50"]
-    assert told[2].split()[-5:] == ["-"] * 5
-    assert "cyclictest: p50" in told[0]
+    rows = table([Case("idle", ticks, 1, [0.2] * 100), Case("busy", ticks, 0, ())], "cyclictest").splitlines()
+    assert rows[1].split() == ["idle", "100", "1", "0.100", *["0.300"] * 3, *["0.200"] * 4, "1.50"]
+    assert rows[2].split()[-5:] == ["-"] * 5
+    assert "cyclictest: p50" in rows[0]
 
 
-def test_a_histogram_of_cyclictest_is_taken_apart():
+def test_a_histogram_of_cyclictest_is_parsed():
     assert wakeups.spread({"12": 2, "9": 1}) == pytest.approx((0.009, 0.012, 0.012))
 
 
-def test_without_cyclictest_a_timer_in_python_is_named_as_such(tmp_path, monkeypatch):
+def test_without_cyclictest_the_python_timer_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(wakeups.shutil, "which", lambda _: None)
     meter = wakeups.Meter(0.2, 0.01, tmp_path)
     found = meter.result()
@@ -67,7 +67,7 @@ def test_without_cyclictest_a_timer_in_python_is_named_as_such(tmp_path, monkeyp
     assert all(lateness >= 0.0 for lateness in found.lateness_ms)
 
 
-def test_a_timer_that_fails_gives_nothing(tmp_path, monkeypatch):
+def test_a_timer_that_fails_gives_no_result(tmp_path, monkeypatch):
     monkeypatch.setattr(wakeups.shutil, "which", lambda _: None)
     meter = wakeups.Meter(0.1, 0.01, tmp_path / "missing")
     assert meter.result() is None
@@ -75,8 +75,8 @@ def test_a_timer_that_fails_gives_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("work", ["processor({starter})", "disk({starter}, {folder!r})", "network({starter})"])
-@pytest.mark.parametrize("alive_s", [0.0, 1.0])  # gone before the load has begun, or while it is busy
-def test_a_load_keeps_busy_until_its_starter_is_gone(work, alive_s, tmp_path):
+@pytest.mark.parametrize("alive_s", [0.0, 1.0])  # the starter ends before the load begins, or while it runs
+def test_a_load_runs_until_its_starter_has_ended(work, alive_s, tmp_path):
     call = work.format(starter="int(sys.argv[1])", folder=str(tmp_path))
     starter = (
         "import os, subprocess, sys, time\n"
@@ -94,15 +94,15 @@ def test_a_load_keeps_busy_until_its_starter_is_gone(work, alive_s, tmp_path):
     subprocess.run([sys.executable, "-c", gone, pid], timeout=30, check=True)
 
 
-def test_the_timer_reports_whether_it_had_the_priority(tmp_path):
+def test_the_timer_reports_whether_it_had_real_time_priority(tmp_path):
     report = tmp_path / "report.json"
     subprocess.run([sys.executable, "-m", wakeups.__name__, "3", "0.001", str(report)], check=True)
-    told = json.loads(report.read_text())
-    assert isinstance(told["fifo"], bool)
-    assert len(told["lateness_ms"]) == 3
+    timed = json.loads(report.read_text())
+    assert isinstance(timed["fifo"], bool)
+    assert len(timed["lateness_ms"]) == 3
 
 
-# What should be changed
+# Recommended changes
 
 GOOD, LATE = [0.1] * 100, [5.0] * 100
 
@@ -117,12 +117,12 @@ def test_a_punctual_machine_needs_no_change():
     assert lines(tuple(branches(cases)))[-1].endswith("nothing to change")
 
 
-def test_an_idle_machine_that_wakes_late_ends_the_questions():
+def test_an_idle_machine_that_wakes_late_is_the_only_finding():
     (change,) = changes(Case("idle", LATE, 3, LATE), Case("disk busy", LATE, 3, LATE))
     assert "PREEMPT_RT" in change
 
 
-def test_late_ticks_on_a_machine_that_wakes_in_time_are_a_matter_of_priority():
+def test_late_ticks_on_a_machine_that_wakes_in_time_need_priority():
     (change,) = changes(Case("idle", LATE, 3, GOOD), Case("disk busy", LATE, 3, GOOD))
     assert "priority" in change
 
@@ -132,6 +132,6 @@ def test_late_ticks_on_a_machine_that_wakes_in_time_are_a_matter_of_priority():
     [("every core busy", "isolcpus"), ("disk busy", "another disk"), ("network busy", "interrupts"),
      ("recorder and page", "another machine")],
 )  # fmt: skip
-def test_each_kind_of_load_has_its_change(busy, words):
+def test_each_kind_of_load_has_its_recommendation(busy, words):
     (change,) = changes(Case("idle", GOOD, 0, GOOD), Case(busy, LATE, 9, GOOD))
     assert words in change

@@ -1,4 +1,4 @@
-"""Doctor, check, init and the daemon's start: what a touch device reports, beside what is configured."""
+"""Doctor, check, init and the daemon's start compare what a touch device reports with the configuration."""
 
 import kernel_touch as kt
 import pytest
@@ -16,7 +16,7 @@ AXES = {kt.X: (0, 0, 3000, 20), kt.Y: (0, 0, 2000, 20), kt.PRESSURE: (0, 0, 500,
 
 @pytest.fixture
 def device(tmp_path, monkeypatch):
-    """Two paths behind which the stand-in's device is."""
+    """Two paths that lead to the emulated device."""
 
     def made(**values):
         paths = [tmp_path / "event1", tmp_path / "event2"]
@@ -37,7 +37,7 @@ def findings(pad, tmp_path):
     return {each.what: each for each in device_findings("pad 1", pad, tmp_path / "palmd.yaml")}
 
 
-def test_doctor_tells_the_device_its_units_and_what_it_cannot_feel(device, tmp_path):
+def test_doctor_reports_the_device_its_units_and_the_quantities_it_lacks(device, tmp_path):
     found = findings(config(device()).pads.palm1, tmp_path)
     assert found["pad 1 device"].text == "a test pad, single touch, a pressure pad"
     assert "20 counts/mm" in found["pad 1 units"].text
@@ -55,7 +55,7 @@ def test_doctor_tells_the_device_its_units_and_what_it_cannot_feel(device, tmp_p
     ],
     ids=["a keyboard", "another scale", "another force", "no scale"],
 )
-def test_doctor_tells_what_is_wrong(device, tmp_path, values, pad, what, verdict):
+def test_doctor_reports_problems(device, tmp_path, values, pad, what, verdict):
     assert findings(config(device(**values), **pad).pads.palm1, tmp_path)[what].verdict == verdict
 
 
@@ -68,7 +68,7 @@ arm: {{kind: dynamixel, port: /dev/c}}
 """
 
 
-def test_check_tells_where_the_configuration_contradicts_the_device(device, tmp_path, capsys):
+def test_check_reports_where_the_configuration_contradicts_the_device(device, tmp_path, capsys):
     path = tmp_path / "palmd.yaml"
     path.write_text(CONFIGURATION.format(*device()))
     assert main(["check", str(path)]) == 1
@@ -77,13 +77,13 @@ def test_check_tells_where_the_configuration_contradicts_the_device(device, tmp_
     assert "pads.palm2.counts_per_mm: 10 counts/mm, but a test pad reports 20" in line
 
 
-def test_check_says_nothing_of_devices_that_are_not_there(tmp_path):
+def test_check_ignores_absent_devices(tmp_path):
     path = tmp_path / "palmd.yaml"
     path.write_text(CONFIGURATION.format(tmp_path / "none1", tmp_path / "none2"))
     assert main(["check", str(path)]) == 0
 
 
-def test_the_daemon_takes_reported_units_that_are_not_configured(device):
+def test_the_daemon_uses_reported_units_unless_configured(device):
     found = with_reported_units(config(device()))
     assert found.pads.palm2.counts_per_mm == 20.0
     assert found.pads.palm2.newtons_per_count == pytest.approx(9.80665e-3 / 5)
@@ -91,7 +91,7 @@ def test_the_daemon_takes_reported_units_that_are_not_configured(device):
     assert with_reported_units(own) is own
 
 
-def test_a_kind_without_a_device_of_the_kernel_has_nothing_to_say():
+def test_a_kind_without_a_kernel_device_has_no_findings():
     strip = Config.model_validate(
         {
             "rig": {"hinge": "fixed"},

@@ -1,4 +1,4 @@
-"""What `palmd demo` is made of: the operator, the comparison with the truth, punctuality, addresses, configuration."""
+"""The parts of `palmd demo`: operator, comparison with the truth, punctuality, addresses, configuration."""
 
 import math
 from types import SimpleNamespace
@@ -20,12 +20,12 @@ from palmd.yamlfile import load_any_config, load_config
 # -------------------------------------------------------------------------------------------------- the operator
 
 
-def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0, wish=""):
+def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0, requested=""):
     """The commands that it gives in this situation, with their times."""
     given = []
     for i in range(round((until - since) / 0.1)):
         t = since + 0.1 * i
-        operator.take("palm/state", {"state": state, "severities": list(severities), "requested_state": wish})
+        operator.take("palm/state", {"state": state, "severities": list(severities), "requested_state": requested})
         operator.take("palm/motion", {"segment": segment})
         command = operator.decide(t)
         if command:
@@ -33,48 +33,48 @@ def looks(operator, state, severities=(), segment=-1, since=0.0, until=3.0, wish
     return given
 
 
-def test_it_arms_and_starts():
+def test_the_operator_arms_and_starts():
     operator = Operator()
     assert looks(operator, "ready", until=0.5) == [(0.0, "arm")]
     assert looks(operator, "tracking", since=0.5, until=1.2) == [(1.0, "start")]
     assert looks(operator, "tracking", segment=0, since=1.2) == []
 
 
-def test_it_asks_again_but_never_hurries():
+def test_the_operator_repeats_a_command_after_a_pause():
     assert [t for t, _ in looks(Operator(), "ready")] == pytest.approx([0.0, AGAIN_S, 2 * AGAIN_S])
 
 
-def test_after_a_hold_it_waits_until_all_is_calm():
+def test_after_a_hold_the_operator_waits_until_faults_have_ended():
     operator = Operator()
     assert looks(operator, "hold", ["hold", "note"], segment=1, until=2.0) == []
     assert looks(operator, "hold", ["note", "degrade"], segment=1, since=2.0, until=2.9) == [(2.0 + CALM_S, "start")]
 
 
-def test_it_resets_a_fault_and_leaves_a_broken_rig_alone():
+def test_the_operator_resets_a_fault_and_gives_a_broken_rig_no_command():
     assert looks(Operator(), "fault", ["stop"], until=1.0) == [(CALM_S, "reset")]
     for state, severities in (("idle", ()), ("ready", ["stop"]), (None, ())):
         assert looks(Operator(), state, severities) == []
     assert Operator().decide(0.0) is None
 
 
-def seen(operator, *states, wish=""):
+def seen(operator, *states, requested=""):
     for state, *severities in states:
-        operator.take("palm/state", {"state": state, "severities": severities, "requested_state": wish})
+        operator.take("palm/state", {"state": state, "severities": severities, "requested_state": requested})
 
 
-@pytest.mark.parametrize(("wish", "state"), [("hold", "hold"), ("stop", "ready")])
-def test_it_leaves_alone_what_somebody_has_held_or_stopped_until_it_moves_again(wish, state):
+@pytest.mark.parametrize(("requested", "state"), [("hold", "hold"), ("stop", "ready")])
+def test_a_requested_hold_or_stop_is_respected_until_the_palms_move_again(requested, state):
     operator = Operator()
     seen(operator, ("ready",), ("tracking",))
-    assert looks(operator, state, segment=-1 if state == "ready" else 0, wish=wish) == []
+    assert looks(operator, state, segment=-1 if state == "ready" else 0, requested=requested) == []
     seen(operator, ("tracking",))
-    assert looks(operator, "tracking", segment=-1) == []  # armed by somebody, who has not started yet
+    assert looks(operator, "tracking", segment=-1) == []  # armed by another client, which has not started yet
     assert looks(operator, "tracking", segment=0, until=0.2) == []
     assert [command for _, command in looks(operator, "tracking", segment=-1, since=0.2, until=1.0)] == ["start"]
 
 
 @pytest.mark.parametrize("severity", ["hold", "stop"])
-def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
+def test_the_operator_continues_after_a_hold_or_stop_caused_by_a_fault(severity):
     operator = Operator()
     seen(operator, ("tracking",), ("hold", "note", severity), ("hold",))
     assert looks(operator, "hold", segment=0, until=1.0) == [(CALM_S, "start")]
@@ -83,19 +83,19 @@ def test_what_a_fault_has_held_or_stopped_is_nobodys_wish(severity):
     assert looks(operator, "ready", until=0.5) == [(0.0, "arm")]
 
 
-@pytest.mark.parametrize("wish", ["hold", "stop"])
+@pytest.mark.parametrize("requested", ["hold", "stop"])
 @pytest.mark.parametrize("state", ["hold", "fault", "ready"])
-def test_a_wish_counts_also_when_a_fault_has_come_first(state, wish):
+def test_a_requested_state_is_respected_even_after_a_fault(state, requested):
     operator = Operator()
     seen(operator, ("tracking",), (state, "hold"))
-    assert looks(operator, state, segment=0, wish=wish) == []
+    assert looks(operator, state, segment=0, requested=requested) == []
 
 
 class LateBus:
-    """A daemon that obeys at once and a bus that brings what it has published `late_s` later; a stack for the demo."""
+    """A daemon that obeys at once and a bus that delivers its messages `late_s` later, as the demo's processes."""
 
     def __init__(self, late_s):
-        self.t, self._late_s, self.state, self.segment, self.wish = 100.0, late_s, "ready", -1, ""
+        self.t, self._late_s, self.state, self.segment, self.requested = 100.0, late_s, "ready", -1, ""
         self.asked, self._published = [], []
         self.subscriber = self.client = self
 
@@ -103,7 +103,7 @@ class LateBus:
         while self.t < t_end:
             self.t += 0.01
             self._published.append(
-                (self.t, "palm/state", {"state": self.state, "severities": [], "requested_state": self.wish})
+                (self.t, "palm/state", {"state": self.state, "severities": [], "requested_state": self.requested})
             )
             self._published.append((self.t, "palm/motion", {"segment": self.segment}))
             while self._published and self._published[0][0] <= self.t - self._late_s:
@@ -115,7 +115,7 @@ class LateBus:
             "state": self.state,
             "severities": [],
             "segment": self.segment,
-            "requested_state": self.wish,
+            "requested_state": self.requested,
             "control": "",
         }
         if command == "status":
@@ -123,7 +123,7 @@ class LateBus:
         self.asked.append(command)
         may = {"arm": self.state == "ready", "start": self.state in ("tracking", "hold")}[command]
         if may:
-            self.state, self.segment, self.wish = "tracking", 0 if command == "start" else -1, ""
+            self.state, self.segment, self.requested = "tracking", 0 if command == "start" else -1, ""
         return {"ok": may, "error": f"the state is {self.state}"}
 
     def check_alive(self, *_):
@@ -131,7 +131,7 @@ class LateBus:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 3.5])
-def test_a_demo_whose_bus_lags_asks_for_nothing_that_has_been_done(monkeypatch, late_s):
+def test_a_demo_with_a_delayed_bus_repeats_no_completed_command(monkeypatch, late_s):
     bus = LateBus(late_s)
     monkeypatch.setattr(demo.time, "monotonic", lambda: bus.t)
     compared = SimpleNamespace(t_started=None, take=lambda _: None, progress=lambda _: "")
@@ -140,14 +140,14 @@ def test_a_demo_whose_bus_lags_asks_for_nothing_that_has_been_done(monkeypatch, 
     assert bus.asked == ["arm", "start"]
 
 
-def test_a_demo_whose_bus_lags_leaves_alone_what_somebody_has_held_meanwhile(monkeypatch):
+def test_a_demo_with_a_delayed_bus_respects_a_hold_requested_meanwhile(monkeypatch):
     bus = LateBus(3.5)
     monkeypatch.setattr(demo.time, "monotonic", lambda: bus.t)
-    bus.state, bus.segment = "hold", 0  # by a fault that has gone
+    bus.state, bus.segment = "hold", 0  # by a fault that has ended
     compared = SimpleNamespace(t_started=100.0, take=lambda _: None, progress=lambda _: "")
     for _ in bus.until(103.0):
         pass
-    bus.wish = "hold"
+    bus.requested = "hold"
     demo._operate(bus, compared, SimpleNamespace(made=False), 12.0)
     assert bus.asked == []
 
@@ -158,85 +158,85 @@ THETA = np.arange(360) * (math.tau / 360)
 TRUE_H = 0.02 + 1e-3 * np.cos(2 * THETA) + 5e-4 * np.sin(3 * THETA)
 
 
-def tell(comparison, topic, t=0.0, **fields):
+def feed(comparison, topic, t=0.0, **fields):
     comparison.take(Message(topic, {"mono_ns": round(t * 1e9), **fields}, t))
 
 
 def run_for(comparison, seconds, settles=0.0, begin=100.0, error=0.0):
-    """A run from `begin`: truth each 10 ms, estimates between, valid after `settles`, r1 wrong by `error`."""
-    tell(comparison, "rig/object", begin, h_m=TRUE_H.tolist(), rho_m=0.014, mass_kg=0.1, mu=0.12)
+    """A run from `begin`: truth every 10 ms, estimates in between, valid after `settles`, r1 wrong by `error`."""
+    feed(comparison, "rig/object", begin, h_m=TRUE_H.tolist(), rho_m=0.014, mass_kg=0.1, mu=0.12)
     comparison.started(begin)
     for k in range(round(seconds * 100)):
         t = begin + 0.01 * k
         r = 0.02 + 1e-3 * (t - begin)
-        tell(comparison, "rig/truth", t, r1_m=r, r2_m=0.02, omega0_rad_s=0.5)
+        feed(comparison, "rig/truth", t, r1_m=r, r2_m=0.02, omega0_rad_s=0.5)
         t += 0.004
-        tell(
+        feed(
             comparison, "palm/estimate", t, valid=t - begin > settles, observer="shape", r1_m=r + 4e-6 + error,
             r2_m=0.02, omega0_rad_s=0.6, rho_m=0.0154, mass_kg=0.099, mu=0.11,
         )  # fmt: skip
     touched = [int(theta < 1.0) for theta in THETA]
     h = np.roll(TRUE_H, 40)
-    h[200] += 3e-4  # where nothing was touched
-    told = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "touched": touched, "h_sd_m": [*[4e-5] * 359, 8e-5]}
-    tell(comparison, "palm/shape", **told)
+    h[200] += 3e-4  # at an untouched normal
+    shape = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "touched": touched, "h_sd_m": [*[4e-5] * 359, 8e-5]}
+    feed(comparison, "palm/shape", **shape)
 
 
-def test_an_emulated_rig_that_stood_still_is_told_once_and_in_the_end():
+def test_a_stall_of_the_emulated_rig_is_shown_once_and_in_the_summary():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 2.0)
-    tell(comparison, "rig/stall", 101.0, t_s=101.0, lasted_s=0.112, count=1)
+    feed(comparison, "rig/stall", 101.0, t_s=101.0, lasted_s=0.112, count=1)
     assert comparison.progress(101.5).endswith("(the emulated rig got no processor time for 112 ms)")
     assert "processor" not in comparison.progress(102.0)
-    tell(comparison, "rig/stall", 102.0, t_s=102.0, lasted_s=0.05, count=2)
+    feed(comparison, "rig/stall", 102.0, t_s=102.0, lasted_s=0.05, count=2)
     assert comparison.summary().endswith("rig perfect, which got no processor time 2 times, 0.16 s in total")
 
 
 def test_the_summary_compares_with_the_truth():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 4.0, settles=2.1, error=1e-4)
-    tell(comparison, "palm/loop", work_p99_ms=1.25)
+    feed(comparison, "palm/loop", work_p99_ms=1.25)
     assert comparison.settled
-    told = comparison.summary()
-    assert told.startswith(
+    summary = comparison.summary()
+    assert summary.startswith(
         "palmd demo: seed 7, shape observer settled after 2.1 s, object 0 valid at the end, lost never, "
     )
-    assert "outline 0 µm RMS (0.00%) on 16% t" in told
-    assert "touched normals (sd 40 µm), whole" in told
-    assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in told
-    assert "r 0.071 mm, omega0 0.100 rad/s" in told  # 0.1 mm in one of two
-    assert "rho +10.0%, mu 0.11 (true 0.12), mass -1.0%" in told
-    assert told.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms, rig perfect")
-    assert "\n" not in told
+    assert "outline 0 µm RMS (0.00%) on 16% t" in summary
+    assert "touched normals (sd 40 µm), whole" in summary
+    assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in summary
+    assert "r 0.071 mm, omega0 0.100 rad/s" in summary  # 0.1 mm in one of two
+    assert "rho +10.0%, mu 0.11 (true 0.12), mass -1.0%" in summary
+    assert summary.endswith("ticks 400, late > 2 ms 0.00%, work p99 1.2 ms, rig perfect")
+    assert "\n" not in summary
 
 
-def test_without_a_valid_estimate_nothing_is_claimed():
+def test_without_a_valid_estimate_no_errors_are_given():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 2.0, settles=99.0)
     assert not comparison.settled
-    told = comparison.summary()
-    assert "shape observer never settled" in told
-    assert "outline" not in told
-    assert "rho" not in told
+    summary = comparison.summary()
+    assert "shape observer never settled" in summary
+    assert "outline" not in summary
+    assert "rho" not in summary
     assert "no valid estimate yet" in comparison.progress(102.0)
 
 
-def test_an_estimate_before_the_motion_does_not_settle_anything():
+def test_an_estimate_before_the_motion_does_not_count_as_settled():
     comparison = Comparison(7, "perfect")
-    tell(comparison, "palm/estimate", 99.0, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
+    feed(comparison, "palm/estimate", 99.0, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
     comparison.started(100.0)
-    tell(comparison, "palm/estimate", 99.9, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
+    feed(comparison, "palm/estimate", 99.9, valid=True, observer="shape", r1_m=0.0, r2_m=0.0, omega0_rad_s=0.0)
     assert not comparison.settled
 
 
-def test_progress_names_state_and_grave_faults():
+def test_progress_names_state_and_severe_faults():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 1.0)
-    tell(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
-    told = comparison.progress(103.2)
-    assert told.startswith("    3 s  hold")
-    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline ± 40 µm (1σ) on 16%  [true error: 0 µm RMS]" in told
-    assert told.endswith("  a")
+    feed(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
+    line = comparison.progress(103.2)
+    assert line.startswith("    3 s  hold")
+    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline ± 40 µm (1σ) on 16%  [true error: 0 µm RMS]" in line
+    assert line.endswith("  a")
 
 
 # -------------------------------------------------------------------------------------------------- punctuality
@@ -265,7 +265,7 @@ def test_late_and_missing_ticks_are_counted():
 # -------------------------------------------------------------------------------------- addresses, configuration
 
 
-def test_free_addresses_are_those_wanted_or_others_that_can_be_had():
+def test_addresses_in_use_are_replaced_by_free_ones():
     with zmq.Context() as context, context.socket(zmq.PUB) as busy:
         taken = busy.bind_to_random_port("tcp://127.0.0.1")
         wanted = BusConfig(publish=f"tcp://127.0.0.1:{taken}", command="tcp://127.0.0.1:9871")
@@ -288,20 +288,20 @@ def test_the_daemons_configuration_is_the_rigs_with_its_ports(tmp_path):
     assert mine.plan == config.plan
     assert mine.plan.is_file()
     assert (mine.limits, mine.observer) == (config.limits, config.observer)
-    assert mine.rig == config.rig.model_copy(update={"imperfections": "none"})  # a daemon is not told
+    assert mine.rig == config.rig.model_copy(update={"imperfections": "none"})  # hidden from the daemon
     path.write_text(as_yaml(config, bus, {"pad1": "/dev/a", "pad2": "/dev/b", "arm": "/dev/c"}, emulated=True))
     assert load_config(path).rig == config.rig
     assert config.rig.imperfections == "calibrated"
 
 
-def test_the_emulated_pivoting_gripper_is_as_far_off_as_its_configuration_asks(tmp_path):
+def test_the_emulated_pivoting_gripper_has_the_configured_imperfections(tmp_path):
     config, path = load_any_config(shipped("pivot.yaml")), tmp_path / "rig.yaml"
     path.write_text(as_yaml(config, config.bus, emulated=True))
     assert load_any_config(path).rig == config.rig
     assert config.rig.imperfections == "calibrated"
 
 
-def test_what_is_shipped_is_good():
+def test_shipped_files_are_valid():
     files = [shipped(name) for name in ("palmd.yaml", "demo.yaml")]
     plans = sorted(shipped("plans").glob("*.yaml"))
     assert len(plans) >= 3

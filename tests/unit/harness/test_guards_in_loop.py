@@ -1,4 +1,4 @@
-"""What the guards do when the arm or a pad fails, in the closed loop without wires."""
+"""The guards' reaction to failures of the arm or a pad, in closed loop without ports."""
 
 import copy
 import math
@@ -24,10 +24,10 @@ PALM_M = 0.12
 
 
 def servos(kind):
-    told = ADEPT.model_dump(mode="json")
-    told["arm"] = {"kind": kind, "port": "arm"}
-    told["rig"]["hinge"] = "fixed"
-    return Config.model_validate(told)
+    fields = ADEPT.model_dump(mode="json")
+    fields["arm"] = {"kind": kind, "port": "arm"}
+    fields["rig"]["hinge"] = "fixed"
+    return Config.model_validate(fields)
 
 
 RIGS = {"adept": lambda: ADEPT, "dynamixel": lambda: servos("dynamixel"), "feetech": lambda: servos("feetech")}
@@ -43,12 +43,12 @@ def begun(rig, seed, after_s):
 
 
 def started(rig="adept", seed=7, after_s=4.0):
-    """A rig of its own that has begun as all others of its kind have."""
+    """A rig of its own, started as all others of its kind."""
     return copy.deepcopy(begun(rig, seed, after_s))
 
 
 def tip(loop):
-    """Where palm 2's far end is, from the base or the hinge (m)."""
+    """Position of palm 2's far end, from the base or the hinge (m)."""
     phi1, phi2 = loop.world._arm.palms_at(loop.world.t).angles
     x, y = PALM_M * math.cos(phi1 + phi2), PALM_M * math.sin(phi1 + phi2)
     if loop.core.setpoints.limits.workspace is None:
@@ -57,7 +57,7 @@ def tip(loop):
 
 
 def provoked(loop, name, strength=None, seconds=3.0):
-    """Codes of the first hold or stop fault and after how long; tip's places from then on."""
+    """Codes of the first hold or stop fault, its delay, and the tip's positions from then on."""
     t = loop.t
     ports = ["pad1", "pad2"] if name == "saturate" else ["arm"]
     for port in ports:
@@ -81,7 +81,7 @@ def travel(loop, seconds):
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("after_s", [3.3, 4.1, 4.9])
-def test_a_blocked_arm_is_stopped_and_does_not_spring_when_it_is_released(rig, after_s):
+def test_a_blocked_arm_is_stopped_and_does_not_jump_when_released(rig, after_s):
     loop = started(rig, after_s=after_s)
     codes, after, text = provoked(loop, "block", seconds=2.0)
     assert codes == {"following-error"}
@@ -104,7 +104,7 @@ def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed):
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("after_s", [3.3, 4.1, 4.9])
-def test_an_encoder_that_freezes_is_named_and_the_arm_stands(rig, after_s):
+def test_a_frozen_encoder_is_reported_and_the_arm_stops(rig, after_s):
     loop = started(rig, after_s=after_s)
     codes, after, _ = provoked(loop, "freeze")
     assert codes == {"following-error"}
@@ -115,7 +115,7 @@ def test_an_encoder_that_freezes_is_named_and_the_arm_stands(rig, after_s):
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("strength_m", [0.02, 0.5])
-def test_a_pose_that_cannot_be_is_named(rig, strength_m):
+def test_an_impossible_pose_is_reported(rig, strength_m):
     loop = started(rig)
     codes, after, text = provoked(loop, "jump", strength_m)
     assert "pose-implausible" in codes
@@ -131,7 +131,7 @@ def test_saturated_pads_hold_the_motion():
     assert "at least" in text
 
 
-def test_after_a_block_a_start_begins_where_the_arm_is():
+def test_after_a_block_a_start_begins_at_the_arms_pose():
     loop = started()
     provoked(loop, "block", seconds=1.0)
     while loop.world.fault_injector.names():
@@ -151,7 +151,7 @@ def test_after_a_block_a_start_begins_where_the_arm_is():
 
 
 @pytest.mark.parametrize("yaw_deg", [90.0, 180.0])
-def test_an_arm_whose_base_is_turned_in_the_configuration_is_not_armed(yaw_deg):
+def test_an_arm_whose_base_is_rotated_in_the_configuration_is_not_armed(yaw_deg):
     wrong = ADEPT.model_copy(update={"arm": ADEPT.arm.model_copy(update={"base_yaw_deg": yaw_deg})})
     loop = TwoPalmsLoop(ADEPT, PLAN, 7, estimator=LightObserver())
     loop.core = TwoPalmsLoop(wrong, PLAN, 7, estimator=LightObserver()).core

@@ -1,7 +1,7 @@
-"""The rig of strips (or input devices) and servos in closed loop without wires: it follows, and every fault is named.
+"""The rig of strips (or input devices) and servos in closed loop without ports: it follows, and faults are reported.
 
-The campaign: what is done, what must come of it, as docs/reference/faults.md has it. The palms stand soon after each
-that stops them.
+The campaign: each failure and its expected fault, as in docs/reference/faults.md. After a fault that stops the palms
+they come to rest within a limited time.
 """
 
 import copy
@@ -55,11 +55,11 @@ def begun(pads, **how):
 
 
 def moving(pads="strip", **how):
-    """A rig of its own that has begun as all others of its kind have."""
+    """A rig of its own, started as all others of its kind."""
     return copy.deepcopy(begun(pads, **how))
 
 
-def test_a_copy_of_a_rig_goes_on_to_the_last_bit_as_the_rig_does():
+def test_a_copy_of_a_rig_continues_bit_identically():
     def bits(run):
         return repr([(instant.messages, instant.truth) for instant in run.run(0.3)])
 
@@ -77,7 +77,7 @@ def test_palms_follow_and_readings_are_true(pads):
         apart.append(max(abs(actual.angles[i] - truth[f"phi{i + 1}_rad"]) for i in range(2)))
         contact = instant.messages["palm/contact"]
         off += [abs(contact[f"s{i}_m"] - truth[f"s{i}_m"]) for i in (1, 2) if contact[f"touch{i}"]]
-    assert max(apart) < math.radians(1.5), "play, a count, and the way of ten milliseconds"
+    assert max(apart) < math.radians(1.5), "play, a count, and the motion in ten milliseconds"
     assert sorted(off)[len(off) // 2] < 4e-4
     assert len(off) > 350
     assert not [fault.code for fault in run.core.faults.active if str(fault.severity) in ("stop", "hold")]
@@ -118,7 +118,7 @@ CAMPAIGN = [
     CAMPAIGN,
     ids=["-".join(filter(None, row[:3])) for row in CAMPAIGN],
 )
-def test_campaign(pads, name, port, strength, codes, state):
+def test_each_failure_has_its_documented_fault(pads, name, port, strength, codes, state):
     run = moving(pads)
     run.world.fault_injector.add(order(name, run.t, port, strength))
     t_cause, seen, speed, t_stood = run.t, set(), math.inf, None
@@ -140,7 +140,7 @@ def test_campaign(pads, name, port, strength, codes, state):
 
 @pytest.mark.parametrize("end", ["pad1", "pad2", "arm"])
 @pytest.mark.parametrize("pads", ["strip", "evdev"])
-def test_a_port_that_goes_is_told(pads, end):
+def test_a_port_that_vanishes_is_reported(pads, end):
     run = moving(pads)
     run.core.lost(end, run.t)
     run.tick()
@@ -148,7 +148,7 @@ def test_a_port_that_goes_is_told(pads, end):
     assert run.core.state is (State.FAULT if end == "arm" else State.HOLD)
 
 
-def test_after_a_fault_of_a_servo_reset_and_start_go_on():
+def test_after_a_servo_fault_reset_and_start_resume():
     run = moving()
     run.world.fault_injector.add(order("overload", run.t, "arm"))
     for _ in range(100):

@@ -1,4 +1,4 @@
-"""The daemon explores a body between three palms, without wires; a smoother that has been told the body spares time."""
+"""The daemon explores a body between three palms, without ports; a smoother that knows the body saves time."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,11 @@ from tools.closed_loop import ThreePalmsLoop
 from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage, remarks
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
-TOLD_S, SECONDS = 2.2, 6.5
+ANSWER_S, SECONDS = 2.2, 6.5
 
 
 class Informed:
-    """A smoother that says once what the body is, and how it moves just then."""
+    """A smoother that once returns the true body and its current motion."""
 
     rig: ThreePalmsLoop
     done = False
@@ -30,7 +30,7 @@ class Informed:
 
     def collect(self, t):
         world = self.rig.world
-        if self.done or t < TOLD_S:
+        if self.done or t < ANSWER_S:
             return None
         self.done = True
         truth, n = world.truth(), len(icosphere()[0])
@@ -46,7 +46,7 @@ class Informed:
 
 @pytest.fixture(scope="module")
 def explored():
-    """(the rig, its true coverage, what was said in each tick)."""
+    """(the rig, its true coverage, each tick's messages and reason)."""
     smoother = Informed()
     rig = smoother.rig = ThreePalmsLoop(load_any_config(shipped("three_palms.yaml")), PLAN, 3, smoother)
     rig.start()
@@ -57,22 +57,22 @@ def explored():
     return rig, coverage, said
 
 
-def test_it_swings_until_the_body_is_known_and_then_shows_more_of_it(explored):
+def test_the_palms_swing_until_the_body_is_known_and_then_extend_the_coverage(explored):
     rig, coverage, said = explored
     reasons = [reason for _, reason in said]
     assert "swings the body until its pose is known" in reasons
     assert reasons[-1] == ""
     assert rig.core.state is State.TRACKING
     assert rig.world.contact_losses == 0
-    assert coverage.share > 0.1  # swinging shows 4 %
+    assert coverage.share > 0.1  # swinging alone covers 4 %
 
 
-def test_what_is_touched_is_told_as_it_is(explored):
+def test_the_published_coverage_agrees_with_the_truth(explored):
     _, coverage, said = explored
-    told = [now.messages[STATE.name] for now, _ in said if STATE.name in now.messages][-1]
-    assert told["exploring"]
-    assert told["reachable"] == 1.0
-    assert coverage.share - 0.1 < told["coverage"] < coverage.share + 0.01
+    state = [now.messages[STATE.name] for now, _ in said if STATE.name in now.messages][-1]
+    assert state["exploring"]
+    assert state["reachable"] == 1.0
+    assert coverage.share - 0.1 < state["coverage"] < coverage.share + 0.01
 
 
 def test_every_set_point_keeps_the_limits(explored):
@@ -84,7 +84,7 @@ def test_every_set_point_keeps_the_limits(explored):
     assert rig.core.setpoints.interventions == 0
 
 
-def test_a_row_tells_how_much_was_touched_and_what_was_lost():
+def test_a_row_reports_coverage_and_losses():
     row = SpaceLiveRow(
         5, 60.0, "explore", settled=8.0, converged_after=9.0, valid=0.9, surface_error=2e-5, ratio=0.5,
         coverage=(0.4, 0.6, 0.85), published=0.8, losses=1, recovered=1, back_s=9.5,

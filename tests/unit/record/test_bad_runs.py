@@ -1,4 +1,4 @@
-"""Recordings that cannot be used: each is one clear line with the file's name, and changes nothing."""
+"""Recordings that cannot be used: each gives a one-line error with the file's name and changes nothing."""
 
 import pytest
 import recorded
@@ -13,7 +13,7 @@ from palmd.record.run import read_run
 from palmd.system.rig_constants import RIG_NAMES
 
 FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless", "unconfigured")
-TOLD = {
+ERRORS = {
     "schema": "has messages of schema 7; this palmd reads schema 1",
     "truncated": "is truncated before its first message: there is nothing left in it",
     "prose": "is not an MCAP file",
@@ -56,16 +56,16 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("name", FILES)
-def test_it_is_told_in_one_line(folder, tmp_path, capsys, command, name):
+def test_an_unusable_recording_is_a_one_line_error(folder, tmp_path, capsys, command, name):
     path, out = folder / f"{name}.mcap", tmp_path / "out"
     arguments = [str(out) if each == "OUT" else each for each in COMMANDS[command]]
     assert main([command, str(path), *arguments]) == 1
     said, err = capsys.readouterr()
-    assert (said, err) == ("", f"{path}: {TOLD[name]}\n")
+    assert (said, err) == ("", f"{path}: {ERRORS[name]}\n")
     assert not out.exists()
 
 
-def test_a_recording_is_known_by_what_is_in_it(tmp_path, capsys):
+def test_a_recording_is_recognised_by_its_content(tmp_path, capsys):
     named = tmp_path / "run.jsonl"
     named.write_bytes(rig_recording.path().read_bytes())
     outs = tmp_path / "a", tmp_path / "b"
@@ -84,7 +84,7 @@ def test_an_event_log_is_no_recording(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("command", ["estimate", "export"])
-def test_what_is_left_of_a_run_that_was_cut_off_is_used_and_this_is_said(tmp_path, capsys, command):
+def test_the_intact_part_of_a_cut_off_run_is_used_with_a_note(tmp_path, capsys, command):
     file, ends = recorded.begun(tmp_path)
     file.abandon()
     cut = tmp_path / "cut.mcap"
@@ -95,8 +95,8 @@ def test_what_is_left_of_a_run_that_was_cut_off_is_used_and_this_is_said(tmp_pat
     assert err.count("\n") == 1
 
 
-def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
-    # too short for an answer, and told so alike
+def test_reconstruct_accepts_a_run_or_its_event_log(tmp_path):
+    # too short for an answer, with the same reason
     log = tmp_path / "run.jsonl"
     assert main(["export", str(rig_recording.path()), "-o", str(log)]) == 0
     outs = tmp_path / "a", tmp_path / "b"
@@ -106,7 +106,7 @@ def test_reconstruct_takes_a_run_as_its_event_log(tmp_path):
     assert first == second
 
 
-def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
+def test_an_invalid_improvement_is_a_one_line_error(tmp_path):
     path = tmp_path / "run.mcap"
     run = read_run(rig_recording.path())
     fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}

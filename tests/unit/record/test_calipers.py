@@ -22,7 +22,7 @@ def result(h=OFF_CENTRE, sd=5e-5, touched=(1,) * 360, mass=0.1):
     return {"h_m": list(h), "h_sd_m": [sd] * 360, "touched": list(touched), "mass_kg": mass, "mass_sd_kg": 0.001}
 
 
-def test_widths_do_not_depend_on_where_the_centre_is():
+def test_widths_do_not_depend_on_the_position_of_the_centre():
     assert widths_mm(OFF_CENTRE) == pytest.approx(widths_mm(ELLIPSE))
     assert extremes_mm(OFF_CENTRE) == pytest.approx((2e3 * A_M, 2e3 * B_M))
     with pytest.raises(ValueError, match="even number"):
@@ -37,8 +37,8 @@ def test_a_whole_outline_is_compared_both_ways():
     assert all(score.whole for score in scores.values())
 
 
-def test_of_a_part_only_what_contradicts_counts():
-    touched = [int(60 <= i < 120 or 240 <= i < 300) for i in range(360)]  # round the smallest width alone
+def test_of_a_partial_outline_only_contradicting_widths_count():
+    touched = [int(60 <= i < 120 or 240 <= i < 300) for i in range(360)]  # around the smallest width only
     scores = scored(result(touched=touched), stone())
     assert not scores["largest_mm"].whole
     assert scores["largest_mm"].estimate < 43.0
@@ -47,7 +47,7 @@ def test_of_a_part_only_what_contradicts_counts():
     assert scored(result(touched=touched), stone(smallest_mm=36.5))["smallest_mm"].sigmas < -3.0
 
 
-def test_one_side_alone_is_no_width():
+def test_a_single_side_has_no_width():
     assert set(scored(result(touched=[1] * 180 + [0] * 180), stone())) == {"mass_g"}
     assert set(scored({"h_m": None}, stone(mass_g=math.nan))) == set()
 
@@ -59,7 +59,7 @@ def bundle(folder, text):
     return folder
 
 
-def test_the_table_comes_back_as_it_was_written(tmp_path):
+def test_a_table_is_read_back_unchanged(tmp_path):
     rows = [stone(), stone(name="nut", photo="nut.jpg")]
     assert read_table(bundle(tmp_path, as_csv(rows))) == rows
 
@@ -78,13 +78,13 @@ def test_the_table_comes_back_as_it_was_written(tmp_path):
         (("stone,runs/1.mcap,,44,36,0.05,100\n", ""), "no objects listed"),
     ],
 )
-def test_a_table_that_is_not_in_order_says_where(tmp_path, change, said):
+def test_a_bad_table_is_reported_with_its_place(tmp_path, change, said):
     text = as_csv([stone()])
     assert change[0] in text
     with pytest.raises(CaliperError, match=said.replace("(", r"\(")):
         read_table(bundle(tmp_path, text.replace(*change)))
 
 
-def test_without_a_table_it_says_so(tmp_path):
+def test_a_missing_table_is_reported(tmp_path):
     with pytest.raises(CaliperError, match="No such file"):
         read_table(tmp_path)

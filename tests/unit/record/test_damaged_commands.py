@@ -1,4 +1,4 @@
-"""Every command that reads a run, on damaged recordings: it ends, reads what is intact, says what is missing."""
+"""Every command that reads a run, on damaged recordings: it ends, reads intact chunks, reports missing data."""
 
 import math
 import random
@@ -10,13 +10,13 @@ from palmd.cli import main
 from palmd.record import RunError
 from palmd.record.run import read_any_run
 
-READ = 0.95  # of what lies in intact chunks
+READ = 0.95  # share of the messages in intact chunks
 SAMPLE, ALL = range(5), range(200)
 FORMS = {"log": "log.jsonl", "csv": "csv", "mcap-json": "json.mcap", "svg": "drawing.svg", "dxf": "drawing.dxf"}
 
 
 def commands(run, out):
-    """What is tried, by name."""
+    """The commands by name."""
     exports = {f"export {form}": ["export", run, "-o", out / name, "--as", form] for form, name in FORMS.items()}
     return exports | {
         "points": ["export", run, "-o", out / "points.csv", "--as", "points"],
@@ -41,7 +41,7 @@ def whole(tmp_path_factory):
 
 
 def laid_out(tmp_path, changed, data):
-    """A folder of runs, a damaged one and a whole one; and a folder for results, with a library of outlines."""
+    """A folder of runs, a damaged one and an intact one; and a folder for results, with a library of outlines."""
     folder, out = tmp_path / "runs", tmp_path / "out"
     folder.mkdir()
     (out / "library").mkdir(parents=True)
@@ -55,7 +55,7 @@ def laid_out(tmp_path, changed, data):
 
 
 def each_command(run, out, capsys):
-    """Name, status and errors of each command: it ends, says why it failed, and leaves the recording as it was."""
+    """Name, status and errors of each command: it ends, gives a reason, and leaves the recording unchanged."""
     before = run.read_bytes()
     for name, words in commands(run, out).items():
         status = main([str(word) for word in words])
@@ -79,7 +79,9 @@ def tried(whole, tmp_path, capsys, seed):
         if name == "export csv" and status == 0:
             rows = sum(len(file.read_text().splitlines()) - 1 for file in (out / "csv").iterdir())
             assert rows >= READ * len(intact), (seed, name)
-            assert rows == len(everything) or said.err.strip(), f"{seed}: {len(everything) - rows} lost without a word"
+            assert rows == len(everything) or said.err.strip(), (
+                f"{seed}: {len(everything) - rows} lost without a message"
+            )
     try:
         read = sum(1 for _ in read_any_run(run).messages())
     except RunError:
@@ -92,18 +94,18 @@ def tried(whole, tmp_path, capsys, seed):
 
 
 @pytest.mark.parametrize("seed", SAMPLE)
-def test_every_command_goes_on(whole, tmp_path, capsys, seed):
+def test_every_command_handles_a_damaged_recording(whole, tmp_path, capsys, seed):
     tried(whole, tmp_path, capsys, seed)
 
 
 @pytest.mark.bench
 @pytest.mark.parametrize("seed", ALL)
-def test_every_command_goes_on_after_any_of_200_damages(whole, tmp_path, capsys, seed):
+def test_every_command_handles_200_kinds_of_damage(whole, tmp_path, capsys, seed):
     tried(whole, tmp_path, capsys, seed)
 
 
 @pytest.mark.parametrize("kind", ["duplicate", "header", "footer", "empty", "text", "zero"])
-def test_other_damages(whole, tmp_path, capsys, kind):
+def test_every_command_handles_further_damage(whole, tmp_path, capsys, kind):
     data = whole.read_bytes()
     begin, end, _ = damaged.chunks(data)[5]
     changed = {

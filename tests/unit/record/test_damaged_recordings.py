@@ -1,4 +1,4 @@
-"""A recording that is damaged at random: every command reads what is intact, and says what is missing."""
+"""A recording with random damage: every command reads intact chunks and reports missing data."""
 
 import json
 import random
@@ -23,7 +23,7 @@ from palmd.record.runfile import pack
 from palmd.rig.world import default_config
 
 DAMAGES = 200
-READ = 0.95  # of what lies in intact chunks
+READ = 0.95  # share of the messages in intact chunks
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_every_intact_chunk_is_read_whatever_the_damage(packed):
     whole = packed.read_bytes()
     parts, chance = chunks(whole), random.Random(54)
     assert len(parts) > 15
-    told = 0
+    notices = 0
     for number in range(DAMAGES):
         data, kept = damage(whole, chance)
         layout = layout_of(data)
@@ -52,17 +52,17 @@ def test_every_intact_chunk_is_read_whatever_the_damage(packed):
         got = {(one.topic, one.sequence, one.payload) for one in messages}
         intact = intact_messages(parts, kept)
         assert len(got & intact) >= READ * len(intact), number
-        assert len(got) == len(messages), f"{number}: a message twice"
-        assert got <= set().union(*(m for _, _, m in parts)), f"{number}: a message that never was"
+        assert len(got) == len(messages), f"{number}: a duplicate message"
+        assert got <= set().union(*(m for _, _, m in parts)), f"{number}: an invented message"
         lost = sum(len(m) for _, _, m in parts) - len(got)
         if lost:
             said = layout is None or layout.damage.damaged or not layout.finished
-            assert said, f"{number}: {lost} messages lost without a word"
-            told += 1
-    assert told > DAMAGES // 4
+            assert said, f"{number}: {lost} messages lost without a message"
+            notices += 1
+    assert notices > DAMAGES // 4
 
 
-def test_an_unfinished_file_gives_what_is_intact(unfinished):
+def test_an_unfinished_file_gives_its_intact_messages(unfinished):
     whole = unfinished.read_bytes()
     all_of_it = {(one.topic, one.sequence, one.payload) for one in read_messages(unfinished)}
     chance = random.Random(55)
@@ -76,7 +76,7 @@ def test_an_unfinished_file_gives_what_is_intact(unfinished):
         assert len(got - all_of_it) <= 1, f"{number}: only a flip within a number goes unnoticed"
 
 
-def test_the_commands_go_on_and_say_what_is_missing(packed, tmp_path, capsys):
+def test_commands_continue_and_report_missing_data(packed, tmp_path, capsys):
     data = bytearray(packed.read_bytes())
     begin, end, lost = chunks(bytes(data))[8]
     data[(begin + end) // 2] ^= 0xFF
@@ -105,12 +105,12 @@ def test_the_commands_go_on_and_say_what_is_missing(packed, tmp_path, capsys):
     assert run.read_bytes() == bytes(data)
 
 
-def test_a_lost_preface_is_taken_from_the_stream(tmp_path):
+def test_a_lost_preface_is_restored_from_the_stream(tmp_path):
     config = default_config()
     from palmd.config.any_config import as_yaml, config_hash
 
-    told = {"config_hash": config_hash(config), "yaml": as_yaml(config)}
-    messages = [*recorded.messages(3), recorded.message(CONFIG.name, told, 0)]
+    fields = {"config_hash": config_hash(config), "yaml": as_yaml(config)}
+    messages = [*recorded.messages(3), recorded.message(CONFIG.name, fields, 0)]
     path = recorded.written(tmp_path / "run.mcap", messages, preface(config, recorded.BEGIN.isoformat()))
     data = bytearray(path.read_bytes())
     at = data.index(b"palm/events") - 300
@@ -123,7 +123,7 @@ def test_a_lost_preface_is_taken_from_the_stream(tmp_path):
 
 
 @pytest.mark.parametrize("odd", [0, 2])
-def test_what_is_dated_1970_gets_the_time_of_its_neighbours_and_does_not_stretch_the_run(tmp_path, odd):
+def test_a_message_dated_1970_gets_its_neighbours_time_and_does_not_lengthen_the_run(tmp_path, odd):
     messages = list(recorded.messages(3))
     messages[odd] = replace(messages[odd], log_time_ns=5, publish_time_ns=7)
     path = recorded.written(tmp_path / "run.mcap", messages, Preface({}, {}))
@@ -136,12 +136,12 @@ def test_what_is_dated_1970_gets_the_time_of_its_neighbours_and_does_not_stretch
 
 
 def chunk_heads(data):
-    """Where the heads of a packed file's chunks begin."""
+    """Offsets of the chunk headers of a packed file."""
     return [item.begin for item in records(data) if item.opcode == Opcode.CHUNK]
 
 
 @pytest.mark.parametrize("head", [bytes(9), b"\x06" + bytes(8), b"\x06" + b"\xff" * 8])
-def test_chunks_of_which_only_the_heads_are_damaged_are_read(packed, head):
+def test_chunks_with_damaged_headers_only_are_read(packed, head):
     data = bytearray(packed.read_bytes())
     for begin in chunk_heads(bytes(data)):
         data[begin : begin + 9] = head
@@ -151,7 +151,7 @@ def test_chunks_of_which_only_the_heads_are_damaged_are_read(packed, head):
     assert layout.damage.messages == 0
 
 
-def test_of_two_recordings_in_one_file_the_first_is_read_and_the_second_is_not_lost(packed, tmp_path, capsys):
+def test_the_first_of_two_recordings_in_one_file_is_read_and_the_second_is_kept(packed, tmp_path, capsys):
     path = tmp_path / "both.mcap"
     whole = packed.read_bytes()
     path.write_bytes(whole + whole)
@@ -162,8 +162,8 @@ def test_of_two_recordings_in_one_file_the_first_is_read_and_the_second_is_not_l
 
 
 @pytest.mark.parametrize("chunking", [True, False])
-def test_messages_of_other_programs_are_no_damage_and_are_not_lost(packed, tmp_path, capsys, chunking):
-    """As after a filter: without metadata and attached files, with a channel of another encoding."""
+def test_messages_of_other_programs_are_no_damage_and_are_kept(packed, tmp_path, capsys, chunking):
+    """As after a filter: without metadata and attachments, with a channel of another encoding."""
     path = tmp_path / "run.mcap"
     source = read_layout(packed)
     with path.open("wb") as stream:
@@ -189,12 +189,12 @@ def test_messages_of_other_programs_are_no_damage_and_are_not_lost(packed, tmp_p
     assert run.layout.count == source.count
     assert run.layout.foreign == {"camera/note": source.count}
     assert main(["export", str(path), "-o", str(tmp_path / "csv"), "--as", "csv"]) == 0
-    assert main(["runs", "recover", str(path)]) == (0 if chunking else 1)  # it is whole, or packed beside it
+    assert main(["runs", "recover", str(path)]) == (0 if chunking else 1)  # it is complete, or a packed copy is made
     assert chunking or "camera/note" in capsys.readouterr().err
     assert path.read_bytes() == before
 
 
-def test_the_rig_follows_from_the_configuration(packed):
+def test_the_rig_description_follows_from_the_configuration(packed):
     layout = read_layout(packed)
     attachments = {CONFIG_FILE: layout.preface.attachments[CONFIG_FILE]}
     found = preface_of(replace(layout, preface=Preface(layout.preface.metadata, attachments)))

@@ -1,4 +1,4 @@
-"""Event logs: golden lines, what is forgiven, what is refused and how it is told, and writing them."""
+"""Event logs: golden lines, tolerated and rejected input, error messages, and writing."""
 
 import contextlib
 import gzip
@@ -61,7 +61,7 @@ def refused(path):
     return text
 
 
-def test_a_log_packed_by_gzip_is_read_as_it_is(log):
+def test_a_gzipped_log_is_read(log):
     lines = f"{HEADER}\n{PAD}\n{PALMS}\n".encode()
     unpacked = read_log(log(lines)).events
     packed = gzip.compress(lines)
@@ -81,12 +81,12 @@ def test_golden_lines(log):
     pad = PadSensor(length=0.0555, noise=1e-4, resolution=1.27e-4, force_scale_std=0.05, force_resolution=0.02)
     assert run.rig == RigDescription(
         gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), palm_angle_noise=2e-4, pads=(pad, pad)
-    ).known_to({**AS_CALIBRATED, "map_sd": MAP_SD_M})  # as the log does not say how well the rig is known  # fmt: skip
+    ).known_to({**AS_CALIBRATED, "map_sd": MAP_SD_M})  # because the log has no calibration_sd  # fmt: skip
     assert run.notes == ()
 
 
 @pytest.mark.parametrize(
-    ("told", "map_sd"),
+    ("given", "map_sd"),
     [
         ({}, MAP_SD_M),
         ({"zero_m": 1e-4}, MAP_SD_M),
@@ -96,8 +96,8 @@ def test_golden_lines(log):
         ({"zero_m": 1e-4, "map_m": 0.0}, 0.0),
     ],
 )
-def test_pads_have_the_error_of_place_that_a_calibration_leaves_unless_all_is_known(described, told, map_sd):
-    assert [pad.map_sd for pad in read_log(described(calibration_sd=told)).rig.pads] == [map_sd] * 2
+def test_pads_have_the_residual_map_error_of_a_calibration_unless_the_rig_is_exactly_known(described, given, map_sd):
+    assert [pad.map_sd for pad in read_log(described(calibration_sd=given)).rig.pads] == [map_sd] * 2
 
 
 MAPPED = {"map": [[0.0, 0.0], [20.0, 0.1], [40.0, -0.2]]}
@@ -131,19 +131,19 @@ def test_readings_are_corrected_by_the_map_of_their_pad(log):
         [[0, 0], [1e308, 1]],
     ],
 )
-def test_a_map_that_is_none_is_refused_by_name(log, points):
+def test_an_invalid_map_is_rejected_by_name(log, points):
     with pytest.raises(LogError, match="map must"):
         read_log(log(with_pads({"map": points}, {}), PAD))
 
 
-def test_what_a_header_may_add_and_leave_out(described):
+def test_optional_keys_of_a_header(described):
     rig = read_log(described(palm_angle_noise_rad=1e-3, force_resolution_n=0.0, palm2_length_m=0.2, colour="red")).rig
     assert rig.hinge == "fixed"
     assert (rig.palm_angle_noise, [pad.force_resolution for pad in rig.pads]) == (1e-3, [0.0, 0.0])
 
 
 @pytest.mark.parametrize(
-    ("told", "zero", "lag", "friction"),
+    ("given", "zero", "lag", "friction"),
     [
         (None, 1e-4, 2e-3, 0.3),
         ({"zero_m": None}, 1e-4, 2e-3, 0.3),
@@ -153,8 +153,8 @@ def test_what_a_header_may_add_and_leave_out(described):
     ],
     ids=["nothing", "null", "one", "known", "known alike"],
 )
-def test_what_a_log_does_not_say_of_the_rigs_constants(described, told, zero, lag, friction):
-    rig = read_log(described(calibration_sd=told)).rig
+def test_rig_constants_that_a_log_leaves_out_get_default_uncertainties(described, given, zero, lag, friction):
+    rig = read_log(described(calibration_sd=given)).rig
     assert (rig.pads[0].zero_sd, rig.pads[1].lag_sd, rig.friction_sd) == (zero, lag, friction)
 
 
@@ -169,7 +169,7 @@ def test_rates_and_forces_may_be_missing_or_null(log):
     assert run.events == (PalmSample(0.0, (0.7, 1.6)), PadSample(0.0, 2, 0.02))
 
 
-def test_truth_never_becomes_an_event_and_what_is_unknown_is_ignored(log):
+def test_truth_never_becomes_an_event_and_unknown_keys_are_ignored(log):
     run = read_log(
         log(
             HEADER,
@@ -184,14 +184,14 @@ def test_truth_never_becomes_an_event_and_what_is_unknown_is_ignored(log):
     assert run.notes == (f"{log(HEADER, PAD)}: 1 lines of an unknown kind ignored",)
 
 
-def test_readings_off_the_pad_are_left_out_as_they_are_on_the_wire(log):
+def test_readings_off_the_pad_are_left_out_as_when_they_are_received(log):
     run = read_log(log(HEADER, PAD, *(f'{{"t":0.01,"pad":1,"s_m":{s}}}' for s in (-0.001, 0, 1e-6, 0.0564, 0.0566))))
     assert [event.s for event in run.events] == [0.0213, 1e-6, 0.0564]
     assert "3 readings off the pad" in run.notes[0]
 
 
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])
-def test_a_simulated_run_is_read_whole(log, ending):
+def test_a_simulated_run_is_read_completely(log, ending):
     lines, _ = simulate_log("rig", 0, 1.0)
     run = read_log(log("".join(json.dumps(line) + ending for line in lines).encode()))
     assert len(run.events) == len(lines) - 1
@@ -244,7 +244,7 @@ def test_a_truncated_last_line_is_dropped_with_a_note_wherever_it_was_cut(log):
         ('{"x":"' + "y" * (1 << 20) + '"}', "the line is longer than"),
     ],
 )
-def test_a_bad_line_is_told_with_its_place(log, line, what):
+def test_a_bad_line_is_reported_with_its_place(log, line, what):
     assert f"run.jsonl:3: {what}" in refused(log(HEADER, PAD, line, PAD))
 
 
@@ -273,7 +273,7 @@ def test_a_bad_line_is_told_with_its_place(log, line, what):
         ),
     ],
 )
-def test_a_bad_header_is_told(log, header, what):
+def test_a_bad_header_is_reported(log, header, what):
     assert f"run.jsonl:1: {what}" in refused(log(header, PAD))
 
 
@@ -317,11 +317,11 @@ def test_vibration_in_the_header(described, written, meant):
         ({"relation": ["independent"]}, "vibration.relation must be one of"),
     ],
 )
-def test_a_vibration_that_is_refused(described, written, what):
+def test_an_invalid_vibration_is_rejected(described, written, what):
     assert f"run.jsonl:1: {what}" in refused(described(vibration=written))
 
 
-def test_files_that_are_no_log(log, tmp_path):
+def test_files_that_are_no_log_are_rejected(log, tmp_path):
     assert refused(tmp_path / "none.jsonl").endswith("none.jsonl: No such file or directory")
     assert refused(tmp_path).endswith("Is a directory")
     assert ":1: the file is empty" in refused(log(b""))
@@ -343,7 +343,7 @@ def test_late_events_keep_the_order_of_the_file(log):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 200), st.integers(0, 50))
-def test_any_bytes_are_read_or_refused(tmp_path, noise, start, length):
+def test_any_bytes_are_read_or_rejected(tmp_path, noise, start, length):
     data = f"{HEADER}\n{PAD}\n{PALMS}\n".encode()
     path = tmp_path / "run.jsonl"
     for spoilt in (noise, data[:start] + noise + data[start + length :]):
@@ -388,7 +388,7 @@ rigs = st.builds(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50, deadline=None)
 @given(rigs, st.lists(events, min_size=1, max_size=20), st.floats(0.05, 0.5))
-def test_what_is_written_is_read_again(tmp_path, rig, run, length):
+def test_a_written_log_is_read_back_unchanged(tmp_path, rig, run, length):
     if rig.hinge == "arc":
         rig = replace(rig, palm1_length=length, base=(length, 0.0))
     assert event_line(PadLift(1.0, 1)) is None
@@ -399,11 +399,11 @@ def test_what_is_written_is_read_again(tmp_path, rig, run, length):
     assert read.events == tuple(run)
 
 
-def test_pads_that_differ_come_back_as_they_were(log):
+def test_pads_that_differ_are_read_back_unchanged(log):
     one, two = PadSensor(), PadSensor(0.04, 3e-4, 2e-4, 0.1, 0.03, 0.05, 2e-4, 1e-3, 3e-4, 4e-5, 5e-3)
     rig = RigDescription(palm1_length=0.11, base=(0.11, 0.0), angle_sd=1e-3, pads=(one, two))
     header = header_line(rig)
-    assert header["rig"]["pad"] == {"length_m": 0.04, "noise_m": 3e-4, "resolution_m": 2e-4}, "for who knows no other"
+    assert header["rig"]["pad"] == {"length_m": 0.04, "noise_m": 3e-4, "resolution_m": 2e-4}, "for older readers"
     assert read_log(log(json.dumps(header), PAD)).rig == rig
     alike = header_line(replace(rig, pads=(two, two)))
     assert "pads" not in alike["rig"]
@@ -411,12 +411,12 @@ def test_pads_that_differ_come_back_as_they_were(log):
 
 
 @pytest.mark.parametrize("pads", [{}, [{}], [{"length_m": 0.05}, 3], [{"length_m": 0.05}, {"length_m": 0.05}]])
-def test_pads_that_are_no_pads_are_refused(described, pads):
+def test_invalid_pads_are_rejected(described, pads):
     assert ":1: " in refused(described(pads=pads))
 
 
 @pytest.mark.parametrize(("most_n", "saturated"), [(2.54, 6), (3.0, 0), (2.0, 0)])
-def test_forces_at_the_pads_last_count_are_at_least_that(log, most_n, saturated):
+def test_a_force_at_the_pads_last_count_is_a_lower_bound(log, most_n, saturated):
     forces = [min(0.5 * n, most_n) for n in range(1, 12)]
     lines = (f'{{"t":{0.01 * n},"pad":1,"s_m":0.02,"force_n":{force}}}' for n, force in enumerate(forces))
     clipped = [sample for sample in read_log(log(FIXED, *lines)).events if sample.at_least is not None]

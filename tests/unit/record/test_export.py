@@ -1,4 +1,4 @@
-"""`palmd export`: each form read back by somebody else's reader and compared with what was published."""
+"""`palmd export`: each format read back by an independent reader and compared with the published messages."""
 
 import csv
 import json
@@ -44,7 +44,7 @@ def odd(tmp_path):
 # ---------------------------------------------------------------------------------------------- event log
 
 
-def test_an_event_log_reads_back_as_what_the_observer_was_fed(tmp_path):
+def test_an_exported_event_log_reads_back_as_the_events_fed_to_the_observer(tmp_path):
     log = read_log(exported(tmp_path / "run.jsonl"))
     run = read_run(rig_recording.path()).event_log()
     assert log.events == run.events
@@ -52,14 +52,14 @@ def test_an_event_log_reads_back_as_what_the_observer_was_fed(tmp_path):
     assert log.notes == ()
 
 
-def test_what_an_event_log_has_no_form_for_is_left_out(odd, tmp_path):
+def test_events_without_a_form_in_event_logs_are_left_out(odd, tmp_path):
     log = read_log(exported(tmp_path / "odd.jsonl", run=odd))
     assert list(log.events) == [
         event for event in read_run(odd).event_log().events if not isinstance(event, PadLift)
     ]  # fmt: skip
 
 
-def test_the_rigs_truth_stands_at_its_time(tmp_path):
+def test_the_rigs_truth_is_placed_at_its_time(tmp_path):
     lines = [json.loads(line) for line in exported(tmp_path / "run.jsonl").read_text().splitlines()]
     truths = [line for line in lines if "truth" in line]
     assert [line["truth"] for line in truths] == [
@@ -67,14 +67,14 @@ def test_the_rigs_truth_stands_at_its_time(tmp_path):
         for fields in of("rig/truth")
     ]
     assert [line["t"] for line in truths] == pytest.approx([fields["mono_ns"] * 1e-9 for fields in of("rig/truth")])
-    told = -math.inf  # the time of the last truth
+    t_truth = -math.inf  # the time of the last truth
     behind = 0
     for line in lines[1:]:
         if "truth" in line:
-            told = line["t"]
+            t_truth = line["t"]
         else:
-            behind += line["t"] < told
-    assert behind == 0  # no event stands behind a truth that is later
+            behind += line["t"] < t_truth
+    assert behind == 0  # no event follows a later truth
 
 
 # ---------------------------------------------------------------------------------------------- CSV
@@ -106,9 +106,9 @@ def test_a_table_has_a_row_for_each_message_and_loses_no_bit(tmp_path):
 def test_lists_are_json_in_one_cell(odd, tmp_path):
     with (exported(tmp_path / "tables", run=odd) / "palm-events.csv").open(newline="") as stream:
         table = rows(stream)
-    told = next(iter(read_run(odd).messages("palm/events"))).fields
-    assert json.loads(table[0]["force_n"]) == [None if math.isnan(force) else force for force in told["force_n"]]
-    assert json.loads(table[0]["source"]) == told["source"]
+    published = next(iter(read_run(odd).messages("palm/events"))).fields
+    assert json.loads(table[0]["force_n"]) == [None if math.isnan(force) else force for force in published["force_n"]]
+    assert json.loads(table[0]["source"]) == published["source"]
     assert table[3]["source"] == "[]"
 
 
@@ -120,10 +120,10 @@ def test_a_zip_holds_the_same_tables(tmp_path):
         assert len(archive.namelist()) == len(list(folder.iterdir()))
 
 
-def test_a_field_that_comes_later_has_its_column_too(tmp_path):
+def test_a_field_that_appears_later_has_its_column(tmp_path):
     said = {"valid": False, "sd": {}}, {"valid": True, "sd": {"r1_m": 0.5}, "late": [1]}, {"valid": True, "sd": {}}
-    told = [("palm/estimate", fields, 0.1 * number, number) for number, fields in enumerate(said)]
-    run = synthetic_runs.write_packed(tmp_path / "run.mcap", told)
+    entries = [("palm/estimate", fields, 0.1 * number, number) for number, fields in enumerate(said)]
+    run = synthetic_runs.write_packed(tmp_path / "run.mcap", entries)
     with (exported(tmp_path / "tables", run=run) / "palm-estimate.csv").open(newline="") as stream:
         table = rows(stream)
     assert [(row["valid"], row["sd.r1_m"], row["late"]) for row in table] == [
@@ -153,11 +153,11 @@ def refuse(name):
 
 
 def null(value):
-    """What JSON says of a value, found another way: by writing it, NaN and all, and reading that back."""
+    """The JSON form of a value found independently: written with NaN, and read back."""
     return json.loads(json.dumps(value), parse_constant=lambda _: None)
 
 
-def test_every_message_is_there_in_json(in_json):
+def test_every_message_is_exported_as_json(in_json):
     assert [(topic, fields) for topic, fields, *_ in in_json if topic != "scene"] == [
         (topic, null(fields)) for topic, fields in rig_recording.published()
     ]
@@ -172,7 +172,7 @@ def test_json_messages_keep_their_times_and_are_strict(in_json):
 
 
 def lichtblick(schema):
-    """What its parser of JSON schemas insists on: an object, every property of a single plain type."""
+    """The requirements of Lichtblick's parser of JSON schemas: an object, every property of a single plain type."""
     assert schema["type"] == "object"
     for inner in schema["properties"].values():
         if inner["type"] == "object":
@@ -183,7 +183,7 @@ def lichtblick(schema):
             assert inner["type"] in ("number", "string", "boolean")
 
 
-def test_schemas_are_what_those_readers_understand_and_name_every_field(in_json):
+def test_schemas_suit_those_readers_and_name_every_field(in_json):
     for topic, fields, schema, _, channel, registered in in_json:
         assert (channel.message_encoding, registered.encoding, registered.name) == ("json", "jsonschema", topic)
         lichtblick(schema)
@@ -192,7 +192,7 @@ def test_schemas_are_what_those_readers_understand_and_name_every_field(in_json)
             assert set(fields["sd"]) <= set(schema["properties"]["sd"]["properties"])
 
 
-def test_a_scene_goes_with_each_outline(in_json):
+def test_each_outline_comes_with_a_scene(in_json):
     scenes = [(message.log_time, fields) for topic, fields, _, message, _, _ in in_json if topic == "scene"]
     valid = {fields["mono_ns"]: fields["valid"] for fields in of("palm/estimate") if math.isfinite(fields["psi_rad"])}
     shapes = [fields for fields in of("palm/shape") if fields["mono_ns"] in valid]
@@ -202,7 +202,7 @@ def test_a_scene_goes_with_each_outline(in_json):
     assert all(len(fields["outline_x_m"]) == len(fields["outline_y_m"]) == 361 for _, fields in scenes)
 
 
-def test_a_scene_shows_the_outline_where_the_object_is():
+def test_a_scene_shows_the_outline_at_the_objects_pose():
     truth, body = of("rig/truth")[-1], of("rig/object")[-1]
     watch = SceneBuilder(default_config())
     watch.take("palm/estimate", truth | {"valid": True})
@@ -211,12 +211,12 @@ def test_a_scene_shows_the_outline_where_the_object_is():
     x, y = scene.outline.T
     assert (x[0], y[0]) == (x[-1], y[-1])
     assert tuple(scene.centre) == (truth["com_x_m"], truth["com_y_m"])
-    # in every direction it reaches as far as the body does
+    # its extent in every direction is the body's
     theta = np.array(body["theta_rad"]) + truth["psi_rad"]
     support = (np.outer(np.cos(theta), x) + np.outer(np.sin(theta), y)).max(axis=1)
     wanted = body["h_m"] + np.cos(theta) * truth["com_x_m"] + np.sin(theta) * truth["com_y_m"]
     assert np.abs(support - wanted).max() < 1e-5
-    # and it rests on both pads where they feel it
+    # it touches both pads at the measured contacts
     tip1, hinge, tip2 = scene.palms
     for tip, side, s in ((tip1, 1.0, truth["s1_m"]), (tip2, -1.0, truth["s2_m"])):
         along = (tip - hinge) / np.linalg.norm(tip - hinge)
@@ -227,7 +227,7 @@ def test_a_scene_shows_the_outline_where_the_object_is():
         assert (scene.outline[nearest] - hinge) @ along == pytest.approx(s, abs=1e-3)
 
 
-def test_a_scene_needs_an_estimate_of_the_same_tick_with_a_place():
+def test_a_scene_needs_an_estimate_of_the_same_tick_with_a_pose():
     watch = SceneBuilder(default_config())
     (shape, *_), estimate = of("palm/shape"), next(f for f in of("palm/estimate") if f["valid"])
     shape = shape | {"mono_ns": estimate["mono_ns"]}
@@ -247,7 +247,7 @@ def test_a_scene_needs_an_estimate_of_the_same_tick_with_a_place():
 
 
 class Kept:
-    """Stands for the package rerun: remembers what it was told."""
+    """A stand-in for the package rerun that records calls."""
 
     def __init__(self):
         self.calls, self.columns, self.logged, self.time = [], {}, [], None
@@ -316,13 +316,13 @@ def test_rerun_gets_scene_and_states(rerun, tmp_path):
     strips = [(t, what[1][0]) for t, entity, what in rerun.logged if entity == "scene/outline"]
     assert len(strips) >= 3
     assert all(strip.shape == (361, 3) and not strip[:, 2].any() for _, strip in strips)
-    told = [what[1] for _, entity, what in rerun.logged if entity == "palm/state/text"]
+    texts = [what[1] for _, entity, what in rerun.logged if entity == "palm/state/text"]
     states = [fields["state"] for fields in of("palm/state")]
-    assert [text.split(":")[0] for text in told][-1] == states[-1]
-    assert len(told) < len(states)
+    assert [text.split(":")[0] for text in texts][-1] == states[-1]
+    assert len(texts) < len(states)
 
 
-def test_without_rerun_it_is_said(tmp_path, capsys, monkeypatch):
+def test_without_rerun_the_error_says_what_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.delitem(sys.modules, "palmd.record.export_rerun", raising=False)
     assert main(["export", str(rig_recording.path()), "-o", str(tmp_path / "run.rrd")]) == 1
@@ -336,7 +336,7 @@ def test_without_rerun_it_is_said(tmp_path, capsys, monkeypatch):
 # ---------------------------------------------------------------------------------------------- the command
 
 
-def test_the_form_can_be_named(tmp_path):
+def test_the_format_can_be_named(tmp_path):
     assert read_log(exported(tmp_path / "run.txt", "--as", "log")).events
     assert (exported(tmp_path / "tables.d", "--as", "csv") / "palm-info.csv").exists()
 
@@ -356,12 +356,12 @@ def test_another_recording_is_not_replaced(odd, capsys):
     assert odd.read_bytes() == before
 
 
-def test_what_cannot_be_exported_to_is_one_clear_line_and_nothing_is_lost(tmp_path, capsys):
+def test_an_unusable_target_is_a_one_line_error_and_nothing_is_lost(tmp_path, capsys):
     full = tmp_path / "full"
     full.mkdir()
     (full / "mine.txt").write_text("mine")
     before = rig_recording.path().read_bytes()
-    for target, arguments, told in (
+    for target, arguments, problem in (
         (tmp_path / "run.xyz", (), "add --as log|csv|mcap-json|rrd"),
         (tmp_path / "no" / "run.jsonl", (), "cannot be written: No such file"),
         (full, (), "is not empty"),
@@ -371,7 +371,7 @@ def test_what_cannot_be_exported_to_is_one_clear_line_and_nothing_is_lost(tmp_pa
         assert main(["export", str(rig_recording.path()), "-o", str(target), *arguments]) == 1
         out, err = capsys.readouterr()
         assert out == ""
-        assert told in err
+        assert problem in err
         assert err.startswith(str(target))
         assert err.count("\n") == 1
     assert [path.name for path in full.iterdir()] == ["mine.txt"]
@@ -379,7 +379,7 @@ def test_what_cannot_be_exported_to_is_one_clear_line_and_nothing_is_lost(tmp_pa
     assert rig_recording.path().read_bytes() == before
 
 
-def test_a_fault_in_the_middle_leaves_nothing(tmp_path, capsys, monkeypatch):
+def test_an_error_midway_leaves_no_partial_export(tmp_path, capsys, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 

@@ -1,4 +1,4 @@
-"""A run as a LeRobot data set: read back by what the format says of its files."""
+"""A run as a LeRobot data set, read back according to the format's documentation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def folder(tmp_path_factory) -> Path:
     return path / "set"
 
 
-def test_its_files_are_where_its_information_says(folder) -> None:
+def test_files_are_where_the_information_file_says(folder) -> None:
     info = json.loads((folder / "meta/info.json").read_text())
     data = pd.read_parquet(folder / info["data_path"].format(chunk_index=0, file_index=0))
     assert info["codebase_version"] == "v3.0"
@@ -44,7 +44,7 @@ def test_its_files_are_where_its_information_says(folder) -> None:
     assert info["features"]["observation.state"]["names"] == ["phi1_rad", "phi2_rad"]
 
 
-def test_its_times_tasks_episodes_and_statistics_agree(folder) -> None:
+def test_times_tasks_episodes_and_statistics_agree(folder) -> None:
     info = json.loads((folder / "meta/info.json").read_text())
     data = pd.read_parquet(folder / "data/chunk-000/file-000.parquet")
     assert np.allclose(np.diff(data["timestamp"]), 1.0 / info["fps"], atol=1e-5)

@@ -1,4 +1,4 @@
-"""The layout for Foxglove and Lichtblick names only what an export holds."""
+"""The layout for Foxglove and Lichtblick names only exported fields."""
 
 import json
 import re
@@ -30,7 +30,7 @@ def paths():
             yield panel["xAxisPath"]["value"]
 
 
-def test_every_panel_stands_somewhere():
+def test_every_panel_is_placed_in_the_layout():
     placed = panels(LAYOUT["layout"])
     assert sorted(placed) == sorted(PANELS)
 

@@ -1,4 +1,4 @@
-"""Recordings as MCAP files: what the mcap library makes of ours, and what we make of torn ones."""
+"""Recordings as MCAP files: read by the mcap library, and truncated or damaged ones read by palmd."""
 
 import json
 import os
@@ -24,7 +24,7 @@ def test_every_topic_of_the_table_has_a_schema_of_its_fields():
         json.dumps(schema, allow_nan=False)
 
 
-def test_a_schema_says_what_a_field_is():
+def test_a_schema_gives_the_type_of_each_field():
     schema = json_schema(ESTIMATE.name)
     assert schema["properties"]["valid"]["type"] == "boolean"
     assert schema["properties"]["r1_m"] == {
@@ -40,7 +40,7 @@ def test_a_schema_says_what_a_field_is():
     assert "r1_m" in schema["required"]
 
 
-def test_a_topic_that_is_in_no_table_may_say_anything():
+def test_a_topic_without_a_table_has_an_open_schema():
     assert json_schema("rig/truth") == {"title": "rig/truth", "type": "object"}
 
 
@@ -53,11 +53,11 @@ def run(request, tmp_path):
     return file.path
 
 
-def test_messages_come_back_as_they_were(run):
+def test_messages_are_read_back_unchanged(run):
     assert list(read_messages(run)) == list(recorded.messages(5))
 
 
-def test_the_mcap_library_reads_them(run):
+def test_the_mcap_library_reads_messages(run):
     with run.open("rb") as stream:
         read = list(make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False))
     expected = list(recorded.messages(5))
@@ -73,7 +73,7 @@ def test_the_mcap_library_reads_them(run):
     assert summary.statistics.message_start_time == expected[0].log_time_ns
 
 
-def test_the_mcap_library_finds_what_was_attached(run):
+def test_the_mcap_library_finds_attachments(run):
     with run.open("rb") as stream:
         reader = make_reader(stream)
         assert {one.name for one in reader.iter_attachments()} == {"config.yaml", "rig.json"}
@@ -82,7 +82,7 @@ def test_the_mcap_library_finds_what_was_attached(run):
         assert len(list(NonSeekingReader(stream).iter_attachments())) == 2
 
 
-def test_only_a_packed_file_is_packed(tmp_path):
+def test_only_a_packed_file_is_recognised_as_packed(tmp_path):
     file, _ = recorded.begun(tmp_path)
     assert not read_layout(file.path).finished
     assert not is_packed(file.path)
@@ -97,7 +97,7 @@ def test_only_a_packed_file_is_packed(tmp_path):
 
 
 def small(stream, compressed):
-    """Three messages and hardly a preface; returns where each message ends."""
+    """Three messages and a short preface; returns where each message ends."""
     writer = RunWriter(stream, Preface({"palmd": {"schema": "1"}}, {"a.txt": b"abc"}), 0, compressed=compressed)
     ends = []
     for one in THREE:
@@ -111,7 +111,7 @@ def small(stream, compressed):
 THREE = [recorded.message("rig/truth", {"psi_rad": 0.1 * i}, i) for i in range(3)]
 
 
-def test_a_file_cut_anywhere_gives_every_message_that_is_whole(tmp_path):
+def test_a_file_cut_anywhere_gives_every_complete_message(tmp_path):
     stream = BytesIO()
     ends = small(stream, compressed=False)
     data, cut = stream.getvalue(), tmp_path / "cut.mcap"
@@ -121,12 +121,12 @@ def test_a_file_cut_anywhere_gives_every_message_that_is_whole(tmp_path):
         whole = sum(end <= length for end in ends)
         assert list(read_messages(cut)) == THREE[:whole], length
         assert not layout.finished
-        if length > ends[0]:  # from there on there is nothing but messages
+        if length > ends[0]:  # from there on there are only messages
             assert layout.damage.torn_bytes == length - ends[whole - 1]
             assert not layout.damage.damaged
 
 
-def test_a_packed_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
+def test_a_packed_file_cut_anywhere_is_read_up_to_the_cut(tmp_path):
     stream = BytesIO()
     small(stream, compressed=True)
     data, cut = stream.getvalue(), tmp_path / "cut.mcap"
@@ -140,7 +140,7 @@ def test_a_packed_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
     assert found == {0, 3}
 
 
-def test_packing_changes_nobodys_rights(tmp_path):
+def test_packing_keeps_file_permissions(tmp_path):
     file, _ = recorded.begun(tmp_path)
     file.finish()
     file.path.chmod(0o640)
@@ -167,14 +167,14 @@ def test_a_damaged_chunk_is_left_out_and_counted(tmp_path):
     assert (damage.messages, damage.exact) == (42, True)
 
 
-def test_damage_costs_what_is_damaged_and_no_more(tmp_path):
-    """Of the preface its metadata, of a channel its messages."""
+def test_damage_costs_only_what_is_damaged(tmp_path):
+    """Damage to the preface costs its metadata, damage to a channel its messages."""
     stream, path = BytesIO(), tmp_path / "run.mcap"
     small(stream, compressed=False)
     whole = stream.getvalue()
     for at, left in ((whole.index(b"schema"), THREE), (whole.rindex(b"rig/truth"), [])):
         data = bytearray(whole)
-        data[at] = 0xFF  # no text any longer
+        data[at] = 0xFF  # no longer text
         path.write_bytes(data)
         assert list(read_messages(path)) == left
         layout = read_layout(path)
@@ -183,14 +183,14 @@ def test_damage_costs_what_is_damaged_and_no_more(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"palmd", b'{"palmd_log":1}\n' * 9, bytes(100_000)])
-def test_what_is_no_mcap_file_is_refused(tmp_path, content):
+def test_a_file_that_is_no_mcap_is_rejected(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     with pytest.raises(RunError, match="is not an MCAP file"):
         list(read_messages(path))
 
 
-def test_nothing_is_left_behind_by_a_packing_that_fails(tmp_path):
+def test_a_failed_packing_leaves_no_file(tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(b"palmd" * 99)
     with pytest.raises(RunError):

@@ -1,4 +1,4 @@
-"""One recorder for each daemon, and what one that follows a killed one says of the gap."""
+"""One recorder for each daemon, and the gap that the successor of a killed recorder reports."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ BUS = "tcp://127.0.0.1:9872"
 
 
 def holder(folder):
-    """Another process that has the lock."""
+    """Another process that holds the lock."""
     code = textwrap.dedent(
         f"""
         import sys
@@ -49,7 +49,7 @@ def test_a_second_recorder_is_refused_until_the_first_has_been_killed(tmp_path):
         pass
 
 
-def test_where_there_can_be_no_lock_it_records_all_the_same():
+def test_without_a_lock_file_it_records_nevertheless():
     with only_recorder(Path("/proc/no/such/folder"), BUS):
         pass
 
@@ -67,8 +67,8 @@ def said(number, t):
 
 
 @pytest.mark.parametrize(("after_s", "first", "marked"), [(2.5, 300, True), (2.5, 0, False), (100.0, 300, False)])
-def test_the_next_recording_says_whom_it_follows_and_after_which_gap(tmp_path, after_s, first, marked):
-    """Not one of another life of the daemon, nor one that comes much later."""
+def test_the_next_recording_names_its_predecessor_and_the_gap(tmp_path, after_s, first, marked):
+    """Only if it is of the same start of the daemon and soon afterwards."""
     killed = recording(tmp_path)
     killed.take(said(0, 1000.0), 1000.0)
     killed.flush(1000.0)
@@ -83,7 +83,7 @@ def test_the_next_recording_says_whom_it_follows_and_after_which_gap(tmp_path, a
     assert float(metadata["gap_s"]) == pytest.approx(after_s if marked else 0.0, abs=1e-3)
 
 
-def test_a_recording_that_has_its_end_is_not_followed(tmp_path):
+def test_a_completed_recording_has_no_successor(tmp_path):
     ended = []
     for first in (0, 300):
         one = recording(tmp_path, ended.append)
@@ -92,13 +92,13 @@ def test_a_recording_that_has_its_end_is_not_followed(tmp_path):
     assert [read_layout(each.path).preface.metadata["palmd"]["continues"] for each in ended] == ["", ""]
 
 
-def test_the_daemons_log_tells_of_the_gap_between_two_recorders():
+def test_the_daemons_log_reports_the_gap_between_two_recorders():
     journal = Journal()
     watch = RecorderWatch(journal)
-    told = {"bytes": 1.0, "messages": 5.0, "lost": 0.0}
+    status = {"bytes": 1.0, "messages": 5.0, "lost": 0.0}
     for t, process in ((1.0, 11), (2.0, 11), (4.5, 12), (5.5, 12)):
-        watch.update({**told, "process": process}, t)
-    watch.update(told, 6.0)  # one that does not tell
+        watch.update({**status, "process": process}, t)
+    watch.update(status, 6.0)  # a recorder that does not send its process
     (entry,) = journal.entries
     assert (entry.kind, entry.name, entry.lasted_s) == ("recorder", "gap", 2.5)
 
@@ -111,7 +111,7 @@ class Ended:
         return self.status
 
 
-def test_a_killed_recorder_is_started_again_and_one_that_has_ended_is_not():
+def test_a_killed_recorder_is_restarted_and_one_that_has_ended_is_not():
     starts = []
     statuses = iter([-9, -9, 3])
 

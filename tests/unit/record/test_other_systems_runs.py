@@ -32,8 +32,8 @@ def shape_of(topic):
     lists = {"touched": touched, "theta_rad": DEGREES}
     lists |= {name: [0.02] * count for name in ("h_m", "hP_m")}
     lists |= {name: [1e-5] * count for name in ("h_sd_m", "hP_sd_m")}
-    told = {name: values for name, values in lists.items() if name in names}
-    return fields_of(topic, **told | ({"halvings": 4} if "halvings" in names else {}))
+    fields = {name: values for name, values in lists.items() if name in names}
+    return fields_of(topic, **fields | ({"halvings": 4} if "halvings" in names else {}))
 
 
 @pytest.fixture(params=OTHERS)
@@ -51,7 +51,7 @@ def run(request, tmp_path):
     return recorded.written(path, messages, preface(config, recorded.BEGIN.isoformat()), compressed=True)
 
 
-def test_it_has_its_row(run, capsys):
+def test_a_run_has_its_row_in_the_list(run, capsys):
     assert main(["runs", str(run.parent), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["problem"] == ""
@@ -59,14 +59,14 @@ def test_it_has_its_row(run, capsys):
     assert row["sd_m"] == pytest.approx(1e-5)
 
 
-def test_it_is_drawn_and_written_as_tables(run, tmp_path):
+def test_a_run_is_exported_as_scene_and_tables(run, tmp_path):
     assert main(["export", str(run), "-o", str(tmp_path / "x.svg")]) == 0
     assert "<svg" in (tmp_path / "x.svg").read_text()
     assert main(["export", str(run), "-o", str(tmp_path / "csv")]) == 0
     assert main(["export", str(run), "-o", str(tmp_path / "json.mcap"), "--as", "mcap-json"]) == 0
 
 
-def test_it_has_its_report(run, tmp_path, capsys):
+def test_a_run_has_its_report(run, tmp_path, capsys):
     assert main(["report", str(run), "-o", str(tmp_path / "x.html")]) == 0
     assert "valid 100% of the ticks" in capsys.readouterr().out
     page = (tmp_path / "x.html").read_text()

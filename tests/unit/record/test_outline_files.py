@@ -1,4 +1,4 @@
-"""Outlines for CAD: each file read back by somebody else's reader, and compared with the body that was drawn."""
+"""Outlines for CAD: each file read back by an independent reader and compared with the original body."""
 
 import math
 import re
@@ -24,8 +24,8 @@ SVG = "{http://www.w3.org/2000/svg}"
 def ellipse(count=360, start=0.0, touched=None):
     theta = start + np.arange(count) * (math.tau / count)
     h = np.hypot(A * np.cos(theta), B * np.sin(theta))
-    told = np.ones(count, dtype=bool) if touched is None else touched(theta % math.tau)
-    return curves_of("an <ellipse>", theta, h, np.full(count, 1e-4), told, rho_m=0.018, mass_kg=0.2)
+    mask = np.ones(count, dtype=bool) if touched is None else touched(theta % math.tau)
+    return curves_of("an <ellipse>", theta, h, np.full(count, 1e-4), mask, rho_m=0.018, mass_kg=0.2)
 
 
 @pytest.mark.parametrize(("count", "start"), [(360, 0.0), (180, 0.7), (361, 0.0)])
@@ -41,7 +41,7 @@ def test_points_lie_on_the_body_and_the_band_beside_it(count, start):
         np.testing.assert_allclose(along, side, atol=1e-6)
 
 
-def test_arcs_that_were_not_touched_end_at_touched_points_wherever_the_circle_begins():
+def test_untouched_arcs_end_at_touched_points_wherever_the_circle_begins():
     curves = ellipse(touched=lambda theta: (theta > 0.5) & (theta < 2.0) | (theta > 3.0) & (theta < 6.0))
     arcs = curves.untouched
     assert len(arcs) == 2
@@ -59,7 +59,7 @@ def test_arcs_that_were_not_touched_end_at_touched_points_wherever_the_circle_be
     assert len(almost) > 700
 
 
-def test_points_in_csv_are_an_outline_for_palmd(tmp_path):
+def test_csv_points_can_be_read_as_an_outline_by_palmd(tmp_path):
     path = tmp_path / "ellipse.csv"
     path.write_bytes(as_csv(ellipse()))
     back = read_outline(path)
@@ -72,7 +72,7 @@ def places(path):
     return np.array([[float(cell) for cell in pair.split()] for pair in re.split("[MLZ]", path.get("d")) if pair])
 
 
-def test_a_drawing_in_svg_is_to_scale_and_upright():
+def test_an_svg_drawing_is_to_scale_and_upright():
     curves = ellipse(touched=lambda theta: theta < 5.0)
     root = ElementTree.fromstring(as_svg(curves))
     left, top, width, height = map(float, root.get("viewBox").split())
@@ -92,7 +92,7 @@ def test_a_drawing_in_svg_is_to_scale_and_upright():
         assert -points[:, 1].min() < top + height
 
 
-def test_a_drawing_in_dxf_has_its_unit_and_its_layers(tmp_path):
+def test_a_dxf_drawing_has_its_unit_and_its_layers(tmp_path):
     curves = ellipse(touched=lambda theta: theta < 5.0)
     path = tmp_path / "ellipse.dxf"
     path.write_bytes(writer_of(".dxf")(curves))
@@ -112,7 +112,7 @@ def test_a_drawing_in_dxf_has_its_unit_and_its_layers(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_runs_last_valid_outline_is_exported(tmp_path, suffix, capsys):
+def test_the_last_valid_outline_of_a_run_is_exported(tmp_path, suffix, capsys):
     target = tmp_path / f"outline{suffix}"
     assert main(["export", str(rig_recording.path()), "-o", str(target)]) == 0
     assert capsys.readouterr().err == ""
@@ -128,7 +128,7 @@ def test_a_runs_last_valid_outline_is_exported(tmp_path, suffix, capsys):
     assert target.stat().st_size > 10_000
 
 
-def test_without_ezdxf_it_says_what_to_type_before_anything_is_read(tmp_path, monkeypatch, capsys):
+def test_without_ezdxf_the_error_says_what_to_install_before_reading(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ezdxf", None)
     monkeypatch.delitem(sys.modules, "palmd.record.outline_dxf", raising=False)
     for command in (["export", str(rig_recording.path())], ["reconstruct", "no such log"]):
@@ -137,7 +137,7 @@ def test_without_ezdxf_it_says_what_to_type_before_anything_is_read(tmp_path, mo
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_has_no_outline_is_told(tmp_path, capsys):
+def test_a_result_without_an_outline_is_an_error(tmp_path, capsys):
     result = tmp_path / "result.json"
     result.write_text('{"converged": false, "reason": "too little", "trajectory": null}')
     assert main(["export", str(result), "-o", str(tmp_path / "o.svg")]) == 1
@@ -146,7 +146,7 @@ def test_what_has_no_outline_is_told(tmp_path, capsys):
     assert "only the outline of a result can be exported" in capsys.readouterr().err
 
 
-def test_a_straight_part_is_drawn_dashed_and_said():
+def test_a_straight_part_is_drawn_dashed_and_labelled():
     theta = np.arange(360) * (math.tau / 360)
     h = real_object("D-profile", np.random.default_rng(3)).body.support.sample(theta)
     curves = curves_of("D", theta, h, np.full(360, 1e-4), np.ones(360, dtype=bool))

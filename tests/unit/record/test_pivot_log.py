@@ -1,4 +1,4 @@
-"""The pivoting grasp from log to result: what is read, what is told, and what is refused in words."""
+"""The pivoting grasp from log to result: reading, results, and errors."""
 
 import json
 from functools import partial
@@ -35,7 +35,7 @@ def run(request, tmp_path_factory):
     return log, truth, json.loads(out.read_text())
 
 
-def test_the_result_has_the_fields_of_the_contract_and_is_right(run):
+def test_the_result_has_the_documented_fields_and_agrees_with_the_truth(run):
     _, truth, result = run
     assert set(result) > FIELDS
     assert result["converged"] is True
@@ -49,10 +49,10 @@ def test_the_result_has_the_fields_of_the_contract_and_is_right(run):
     assert trajectory["psi_rad"][0] == pytest.approx(0.0, abs=1e-4)
     true = np.interp(trajectory["t"], truth["t"], truth["psi_rad"])
     off = (np.array(trajectory["psi_rad"]) - true + np.pi) % (2 * np.pi) - np.pi
-    assert np.percentile(np.abs(off), 98) < 0.02  # but where the truth, told each 9 ms, leaps from touch to touch
+    assert np.percentile(np.abs(off), 98) < 0.02  # except where the truth, sampled every 9 ms, jumps between touches
 
 
-def test_mass_is_told_by_a_slide_alone(run):
+def test_only_a_slide_determines_the_mass(run):
     _, truth, result = run
     if truth["kind"] == "tilt":
         assert result["com_from_pivot_m"] is result["inertia_pivot_m2"] is result["mass_kg"] is None
@@ -64,19 +64,19 @@ def test_mass_is_told_by_a_slide_alone(run):
     assert (np.abs(np.array(result["com_from_pivot_m"]) + truth["pivot_m"]) < 4 * sd + 1e-4).all()
 
 
-def test_the_library_says_the_same(run):
+def test_the_library_agrees_with_the_command(run):
     log, _, result = run
-    told = palmd.reconstruct(log)
-    assert (told.system, told.converged) == ("pivot", True)
-    assert told.results["hP_m"] == result["hP_m"]
-    assert told.trajectory["psi_rad"].tolist() == result["trajectory"]["psi_rad"]
+    answer = palmd.reconstruct(log)
+    assert (answer.system, answer.converged) == ("pivot", True)
+    assert answer.results["hP_m"] == result["hP_m"]
+    assert answer.trajectory["psi_rad"].tolist() == result["trajectory"]["psi_rad"]
     with pytest.raises(palmd.PalmdError, match="no outline: the results of the system pivot"):
-        told.outline_xy()
+        answer.outline_xy()
 
 
-def test_estimated_as_a_daemon_would(run, tmp_path, monkeypatch):
+def test_estimates_of_a_log_are_those_of_the_daemon(run, tmp_path, monkeypatch):
     log, truth, _ = run
-    monkeypatch.setattr(pivot, "SimulatedSmoothing", partial(SimulatedSmoothing, period_s=4.0))  # it is the slow part
+    monkeypatch.setattr(pivot, "SimulatedSmoothing", partial(SimulatedSmoothing, period_s=4.0))  # the slow part
     out = tmp_path / "out.jsonl"
     assert main(["estimate", str(log), "-o", str(out)]) == 0
     lines = [json.loads(line) for line in out.read_text().splitlines()]
@@ -88,7 +88,7 @@ def test_estimated_as_a_daemon_would(run, tmp_path, monkeypatch):
     assert score_outline(theta, h, touched == 1, np.array(truth["hP_m"])).e_h < 1e-4
 
 
-def test_an_outline_for_cad(run, tmp_path):
+def test_the_outline_is_exported_for_cad(run, tmp_path):
     out = tmp_path / "out.svg"
     assert main(["reconstruct", str(run[0]), "-o", str(out)]) == 0
     assert "<svg" in out.read_text()
@@ -99,7 +99,7 @@ def lines():
     return simulate_pivot_log("tilt", 3)[0]
 
 
-def test_what_is_read(lines, tmp_path):
+def test_a_log_is_read(lines, tmp_path):
     system, log = read_log_of_any(written(tmp_path / "log.jsonl", lines))
     assert system.name == "pivot"
     assert isinstance(log.rig, PivotRig)
@@ -121,7 +121,7 @@ def test_what_is_read(lines, tmp_path):
         ({"pad": None}, "pad is missing"),
     ],
 )
-def test_a_header_that_makes_no_sense(change, said, lines, tmp_path, capsys):
+def test_an_invalid_header_is_rejected(change, said, lines, tmp_path, capsys):
     header = lines[0] | {"rig": lines[0]["rig"] | change}
     log = written(tmp_path / "log.jsonl", [header, *lines[1:50]])
     assert main(["reconstruct", str(log), "-o", str(tmp_path / "out.json")]) == 1
@@ -137,7 +137,7 @@ def test_a_header_that_makes_no_sense(change, said, lines, tmp_path, capsys):
         ({"t": 0.1, "arm": {"z_m": 0.02}}, "x_m is missing"),
     ],
 )
-def test_an_event_that_makes_no_sense(line, said, lines, tmp_path, capsys):
+def test_an_invalid_event_is_rejected(line, said, lines, tmp_path, capsys):
     log = written(tmp_path / "log.jsonl", [lines[0], line, *lines[1:50]])
     assert main(["reconstruct", str(log), "-o", str(tmp_path / "out.json")]) == 1
     assert capsys.readouterr().err == f"{log}:2: {said}\n"

@@ -1,4 +1,4 @@
-"""Which messages go to which file, and what happens when nothing can be written."""
+"""Which messages go to which file, and what happens when the disk cannot be written."""
 
 import errno
 import os
@@ -41,7 +41,7 @@ def disk(tmp_path):
     return Disk(tmp_path / "runs")
 
 
-def test_what_has_been_flushed_is_in_the_file(disk):
+def test_flushed_messages_are_in_the_file(disk):
     for number in range(3):
         disk.take(number)
         assert disk.numbers(disk.recording.path) == list(range(number + 1))
@@ -50,7 +50,7 @@ def test_what_has_been_flushed_is_in_the_file(disk):
     assert disk.recording.size_bytes == disk.recording.path.stat().st_size
 
 
-def test_bytes_and_times_are_stored_as_they_came(disk):
+def test_bytes_and_times_are_stored_unchanged(disk):
     sent = recorded.frames(EVENTS.name, events_fields(0.5, recorded.events(1)), 0, 0.5)
     disk.recording.take(sent, T0 + 0.75)
     disk.recording.flush(T0 + 0.75)
@@ -60,14 +60,14 @@ def test_bytes_and_times_are_stored_as_they_came(disk):
     assert got.publish_time_ns == round((T0 + 0.5) * 1e9)
 
 
-def test_gaps_are_counted_topic_by_topic(disk):
+def test_gaps_are_counted_for_each_topic(disk):
     for number, topic in ((0, "palm/a"), (7, "palm/b"), (1, "palm/a"), (9, "palm/b"), (5, "palm/a"), (10, "palm/b")):
         disk.take(number, topic=topic)
     assert disk.recording.lost == 1 + 3
     assert disk.recording.messages == 6
 
 
-def test_a_daemon_that_begins_anew_gets_a_file_of_its_own(disk):
+def test_a_restarted_daemon_gets_a_new_file(disk):
     for number in (0, 1, 2):
         disk.take(number)
     disk.take(0, 0.4)
@@ -79,7 +79,7 @@ def test_a_daemon_that_begins_anew_gets_a_file_of_its_own(disk):
     assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == ""
 
 
-def test_a_rig_that_begins_anew_changes_nothing(disk):
+def test_a_restarted_rig_does_not_start_a_new_file(disk):
     disk.take(0)
     disk.take(500, topic="rig/truth")
     disk.take(0, topic="rig/truth")
@@ -97,7 +97,7 @@ def test_only_the_daemon_begins_a_file(disk):
     assert disk.recording.lost == 0
 
 
-def test_a_long_run_goes_on_in_another_file(disk):
+def test_a_long_run_continues_in_another_file(disk):
     disk.take(0)
     disk.take(1, MAX_FILE_S - 1)
     disk.take(2, MAX_FILE_S)
@@ -108,7 +108,7 @@ def test_a_long_run_goes_on_in_another_file(disk):
     assert disk.recording.lost == 0
 
 
-def test_a_run_ends_with_the_daemons_silence_and_goes_on_with_its_voice(disk):
+def test_a_run_ends_when_the_daemon_falls_silent_and_continues_when_it_sends_again(disk):
     disk.take(0)
     for tenths in range(1, round(SILENT_S * 10)):
         disk.take(tenths, 0.1 * tenths, topic="rig/truth")
@@ -125,13 +125,13 @@ def test_a_run_ends_with_the_daemons_silence_and_goes_on_with_its_voice(disk):
     "frames",
     [[b"palm/x"], [b"palm/x", b"\xc1", b"1"], [b"palm/x", b"\x93\x01\x02\x03", b"1"], [b"palm/x", b"\x80", b"1"]],
 )
-def test_what_is_no_message_is_left_out(disk, frames):
+def test_invalid_messages_are_left_out(disk, frames):
     disk.recording.take(frames, T0)
     assert disk.recording.path is None
 
 
 @pytest.mark.parametrize("timestamp", [float("nan"), float("inf"), -1.0, 0.0, "now", None])
-def test_a_stamp_that_is_no_time_is_the_time_of_its_arrival(disk, timestamp):
+def test_an_invalid_timestamp_is_replaced_by_the_time_of_arrival(disk, timestamp):
     payload = recorded.msgpack.packb({"seq": 0, "timestamp": timestamp})
     disk.recording.take([EVENTS.name.encode(), payload, b""], T0)
     disk.recording.flush(T0)
@@ -140,7 +140,7 @@ def test_a_stamp_that_is_no_time_is_the_time_of_its_arrival(disk, timestamp):
     assert message.payload == payload
 
 
-# ----------------------------------------------------------------------------------------- nowhere to write to
+# ------------------------------------------------------------------------------------------------ write errors
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ def full(monkeypatch):
     return Full
 
 
-def test_a_full_disk_keeps_what_is_there_and_is_tried_again(disk, full):
+def test_a_full_disk_keeps_its_files_and_writing_is_retried(disk, full):
     for number in range(3):
         disk.take(number, 0.01 * number)
     full.room = 100  # in the middle of a record
@@ -185,7 +185,7 @@ def test_a_full_disk_keeps_what_is_there_and_is_tried_again(disk, full):
     assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == first.path.name
 
 
-def test_a_file_that_is_whole_to_the_last_record_can_be_packed(disk, full):
+def test_a_file_complete_to_its_last_record_can_be_packed(disk, full):
     for number in range(3):
         disk.take(number)
     full.room = 7
@@ -197,7 +197,7 @@ def test_a_file_that_is_whole_to_the_last_record_can_be_packed(disk, full):
     assert read_layout(first.path).finished
 
 
-def test_a_disk_that_is_full_from_the_beginning_gets_no_empty_files(disk, full):
+def test_a_disk_full_from_the_beginning_gets_no_empty_files(disk, full):
     full.room = 10
     for number in range(3):
         disk.take(number)
@@ -206,7 +206,7 @@ def test_a_disk_that_is_full_from_the_beginning_gets_no_empty_files(disk, full):
     assert "the disk is full" in disk.recording.problem
 
 
-def test_a_directory_that_cannot_be_written_is_told_and_tried_again(disk, caplog):
+def test_an_unwritable_folder_is_reported_and_retried(disk, caplog):
     disk.folder.write_text("a file where the directory should be")
     for number in range(3):
         disk.take(number)
@@ -219,7 +219,7 @@ def test_a_directory_that_cannot_be_written_is_told_and_tried_again(disk, caplog
     assert disk.numbers(disk.recording.path) == [3]
 
 
-def test_a_disk_that_fails_later_is_not_trusted_any_longer(disk):
+def test_after_a_later_write_error_the_file_is_not_used_again(disk):
     disk.take(0)
     disk.recording.fail(OSError(errno.EIO, "Input/output error"), T0)
     assert disk.recording.problem.endswith("Input/output error")
@@ -227,12 +227,12 @@ def test_a_disk_that_fails_later_is_not_trusted_any_longer(disk):
     assert disk.numbers(disk.ended[0].path) == [0]
 
 
-def test_the_daemons_configuration_is_kept_and_not_the_recorders(disk, caplog):
+def test_the_daemons_configuration_is_stored_and_not_the_recorders(disk, caplog):
     config = recorded.config(disk.recording._directory)
     other = config.model_copy(update={"rig": config.rig.model_copy(update={"gravity_m_s2": 1.6})})
-    told = {"config_hash": config_hash(other), "yaml": as_yaml(other)}
+    published = {"config_hash": config_hash(other), "yaml": as_yaml(other)}
     disk.recording.take(recorded.frames("palm/state", {"state": "idle"}, 0), T0)
-    disk.recording.take(recorded.frames(CONFIG.name, told, 0), T0)
+    disk.recording.take(recorded.frames(CONFIG.name, published, 0), T0)
     disk.recording.take(recorded.frames("palm/state", {"state": "idle"}, 1), T0 + 0.1)
     disk.recording.flush(T0 + 0.1)
     path = disk.recording.path

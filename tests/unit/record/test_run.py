@@ -25,7 +25,7 @@ def finished(tmp_path):
 
 
 def written(path, messages, **attachments):
-    """A file with just this in it."""
+    """A file with exactly these messages."""
     preface = recorded.preface(recorded.config(path.parent), "")
     files = {**preface.attachments, **attachments}
     return recorded.written(path, messages, Preface(preface.metadata, files), compressed=True)
@@ -38,7 +38,7 @@ def test_ticks_have_their_times_and_events_bit_for_bit(finished):
     assert [list(tick.events) for tick in ticks] == [recorded.events(i) for i in range(5)]
 
 
-def test_what_is_told_about_the_run(finished):
+def test_the_run_has_its_metadata(finished):
     run = read_run(finished)
     config = recorded.config(finished.parent)
     assert run.complete
@@ -51,7 +51,7 @@ def test_what_is_told_about_the_run(finished):
     }  # fmt: skip
 
 
-def test_messages_can_be_had_by_topic(finished):
+def test_messages_can_be_selected_by_topic(finished):
     run = read_run(finished)
     assert [message.topic for message in run.messages("palm/loop", "palm/info")] == ["palm/loop", "palm/info"]
     (loop,) = run.messages("palm/loop")
@@ -59,7 +59,7 @@ def test_messages_can_be_had_by_topic(finished):
     assert len(list(run.messages())) == 12
 
 
-def test_the_survey_counts_and_misses(tmp_path):
+def test_the_survey_counts_messages_and_gaps(tmp_path):
     kept = [message for message in recorded.messages(9) if message.sequence not in (3, 4, 101)]
     survey = read_run(written(tmp_path / "run.mcap", kept)).survey()
     events, truth = survey["palm/events"], survey["rig/truth"]
@@ -68,14 +68,14 @@ def test_the_survey_counts_and_misses(tmp_path):
     assert events.end_ns - events.begin_ns == pytest.approx(0.8e9)
 
 
-def test_it_is_an_event_log_too(finished):
+def test_a_run_can_be_read_as_an_event_log(finished):
     log = read_run(finished).event_log()
     assert list(log.events) == [event for i in range(5) for event in recorded.events(i)]
     assert log.rig == rig_description(recorded.config(finished.parent))
     assert log.notes == ()
 
 
-def test_an_unfinished_run_says_so(tmp_path):
+def test_an_unfinished_run_is_marked(tmp_path):
     file, ends = recorded.begun(tmp_path)
     file.abandon()
     with file.path.open("r+b") as stream:
@@ -93,7 +93,7 @@ AGAINST = np.linspace(-9.0, 9.0, len(RIG_NAMES))
 SPREAD = np.arange((2.0 + len(RIG_NAMES)) * len(RIG_NAMES)).reshape(-1, len(RIG_NAMES))  # of two states and the rig
 
 
-def test_improvements_come_back_with_their_ticks(tmp_path):
+def test_improvements_are_read_back_with_their_ticks(tmp_path):
     x, covariance = np.array([1 / 3, math.pi]), np.array([[1.0, 0.1], [0.1, 2.0]]) / 7
     touched = np.arange(72) % 3 == 0
     arrays = {"touched": touched, "rig": RIG, "rig_sd": RIG_SD, "spread": SPREAD, "contradicted": AGAINST}
@@ -108,7 +108,7 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
         assert np.array_equal(getattr(answer, name), array), name
 
 
-def test_answers_of_an_earlier_smoother_are_refused_with_what_to_do(tmp_path):
+def test_answers_of_an_earlier_smoother_are_rejected_with_advice(tmp_path):
     fields = improvement_fields(1 / 7, improvement(np.zeros(2), np.eye(2)))
     for name in ("frame", "established", "touched", "rig", "spread"):
         del fields[name]
@@ -152,7 +152,7 @@ def refusal(path):
     return text.removeprefix(f"{path}: ")
 
 
-def test_a_run_of_which_nothing_is_left_is_refused(tmp_path):
+def test_a_run_without_readable_messages_is_rejected(tmp_path):
     file, ends = recorded.begun(tmp_path, 1)
     file.abandon()
     data = file.path.read_bytes()
@@ -179,7 +179,7 @@ def test_a_run_without_messages_is_refused(tmp_path):
         ("rig.json", b'{"gravity": "much"}', "its description of the rig cannot be read"),
     ],
 )
-def test_a_damaged_preface_is_refused(tmp_path, name, data, what):
+def test_a_damaged_preface_is_rejected(tmp_path, name, data, what):
     assert what in refusal(written(tmp_path / "run.mcap", recorded.messages(1), **{name: data}))
 
 
@@ -190,7 +190,7 @@ def test_missing_topics_are_named(finished):
         run.require(EVENTS, ESTIMATE, IMPROVEMENT)
 
 
-def test_events_that_make_no_sense_are_refused(tmp_path):
+def test_invalid_events_are_rejected(tmp_path):
     bad = recorded.message(EVENTS.name, {"t_tick_s": 0.0, "source": [1]}, 4)
     with pytest.raises(RunError, match="palm/events, message 4"):
         list(read_run(written(tmp_path / "a.mcap", [bad])).ticks())

@@ -1,4 +1,4 @@
-"""Recordings as a collection: what is told of each, the index that is always rebuilt, and `palmd runs`."""
+"""Recordings as a collection: the summary of each, the index that is always rebuilt, and `palmd runs`."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def recording(folder: Path, *extra: tuple[str, dict], old: bool = True) -> Path:
     return file.path
 
 
-def told(best: str = "", mass_kg: float = 0.2) -> list[tuple[str, dict]]:
-    """What a daemon says in a run in which it is held once."""
+def messages_of(best: str = "", mass_kg: float = 0.2) -> list[tuple[str, dict]]:
+    """The daemon's messages in a run with one hold."""
     return [
         (MOTION.name, {"plan": "rock"}),
         (STATE.name, HELD),
@@ -50,17 +50,17 @@ def told(best: str = "", mass_kg: float = 0.2) -> list[tuple[str, dict]]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Three recordings: two of a cup, one that is no recording."""
+    """Three recordings: two of a cup, and a file that is no recording."""
     for number, best in enumerate(("cup", "cup")):
-        recording(tmp_path / "x", *told(best)).rename(tmp_path / f"2026-11-2{number}T10-00-00Z.mcap")
+        recording(tmp_path / "x", *messages_of(best)).rename(tmp_path / f"2026-11-2{number}T10-00-00Z.mcap")
         (tmp_path / "x").rmdir()
     (tmp_path / "2026-11-22T10-00-00Z.mcap").write_text("hello")
     os.utime(tmp_path / "2026-11-22T10-00-00Z.mcap", (1e9, 1e9))
     return tmp_path
 
 
-def test_a_run_is_told_in_a_few_words(tmp_path: Path) -> None:
-    found = summary_of(recording(tmp_path, *told("cup")))
+def test_a_run_has_a_short_summary(tmp_path: Path) -> None:
+    found = summary_of(recording(tmp_path, *messages_of("cup")))
     assert found == RunSummary(
         started=BEGIN.isoformat(),
         seconds=pytest.approx(2.5),
@@ -78,32 +78,32 @@ def test_a_run_is_told_in_a_few_words(tmp_path: Path) -> None:
     )
 
 
-def test_what_was_lost_is_counted_once_and_the_last_valid_outline_counts(tmp_path: Path) -> None:
+def test_losses_are_counted_once_and_the_last_valid_outline_counts(tmp_path: Path) -> None:
     lost = {
         "number": [3, 4],
         "kind": ["object"] * 2,
         "name": ["lost", "begun"],
         "text": ["object 1 is lost", "object 2"],
     }
-    begun_anew = SHAPED | {"touched": [0] * len(SHAPED["touched"])}
-    after = [(ESTIMATE.name, {"valid": False, "object": 3}), (SHAPE.name, begun_anew), *[("palm/log", lost)] * 2]
-    found = summary_of(recording(tmp_path, *told("cup"), *after))
+    reset_shape = SHAPED | {"touched": [0] * len(SHAPED["touched"])}
+    after = [(ESTIMATE.name, {"valid": False, "object": 3}), (SHAPE.name, reset_shape), *[("palm/log", lost)] * 2]
+    found = summary_of(recording(tmp_path, *messages_of("cup"), *after))
     assert (found.lost, found.valid, found.touched) == (1, False, pytest.approx(2 / 3))
 
 
-def test_a_note_in_the_log_is_told(tmp_path: Path) -> None:
+def test_a_note_in_the_log_is_in_the_summary(tmp_path: Path) -> None:
     log = {"kind": ["note", "fault", "command"], "name": ["", "x", "note"], "text": ["cup moved", "no", "again"]}
     assert summary_of(recording(tmp_path, ("palm/log", log), ("palm/log", log))).notes == ("cup moved", "again")
 
 
-def test_what_is_unfinished_or_no_recording_says_so(tmp_path: Path) -> None:
+def test_unfinished_and_invalid_recordings_are_marked(tmp_path: Path) -> None:
     file, _ = begun(tmp_path)
     assert summary_of(file.path).complete is False
     (tmp_path / "x.mcap").write_text("hello")
     assert summary_of(tmp_path / "x.mcap").problem == "is not an MCAP file"
 
 
-def test_a_recording_is_read_once_and_again_when_it_has_changed(folder: Path, monkeypatch) -> None:
+def test_a_recording_is_read_again_only_after_it_has_changed(folder: Path, monkeypatch) -> None:
     first = indexed(folder)
     assert [each.name[:10] for each in first] == ["2026-11-22", "2026-11-21", "2026-11-20"]
     read: list[str] = []
@@ -119,7 +119,7 @@ def test_a_recording_is_read_once_and_again_when_it_has_changed(folder: Path, mo
 
 
 @pytest.mark.parametrize("damage", ["", "[]", '{"format": 0}', '{"format": 1, "runs": [{"name": "x"}]}', "\x00"])
-def test_the_index_is_rebuilt_whatever_has_become_of_it(folder: Path, damage: str) -> None:
+def test_a_damaged_index_is_rebuilt(folder: Path, damage: str) -> None:
     first = indexed(folder)
     (folder / NAME).write_text(damage)
     assert repr(indexed(folder)) == repr(first)
@@ -127,8 +127,8 @@ def test_the_index_is_rebuilt_whatever_has_become_of_it(folder: Path, damage: st
     assert repr(indexed(folder, rebuild=True)) == repr(first)
 
 
-def test_what_is_being_recorded_is_listed_and_read_later(tmp_path: Path) -> None:
-    path = recording(tmp_path, *told(), old=False)
+def test_a_recording_in_progress_is_listed_and_read_later(tmp_path: Path) -> None:
+    path = recording(tmp_path, *messages_of(), old=False)
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])  # it has no end yet
     (now,) = indexed(tmp_path)
@@ -166,29 +166,29 @@ def test_the_command_lists_searches_groups_and_compares(folder: Path, capsys) ->
 
 
 @pytest.mark.parametrize(
-    ("argv", "told"),
+    ("argv", "error"),
     [
         (["--compare", "2026"], "2026: 3 runs have names that begin so"),
         (["--note", "2027", "x"], "2027: there is no such run in "),
     ],
 )
-def test_a_run_that_is_not_one_is_told(folder: Path, argv: list[str], told: str, capsys) -> None:
+def test_an_unknown_or_invalid_run_is_an_error(folder: Path, argv: list[str], error: str, capsys) -> None:
     assert main(["runs", str(folder), *argv]) == 1
-    assert capsys.readouterr().err.startswith(told)
+    assert capsys.readouterr().err.startswith(error)
     assert main(["runs", str(folder / "nowhere")]) == 1
     error = capsys.readouterr().err
     assert error.startswith(f"{folder / 'nowhere'}: no such folder: no run has been recorded into it")
     assert "`palmd demo`" in error
 
 
-def test_days_and_words() -> None:
+def test_search_by_day_and_words() -> None:
     run = IndexedRun("2026-11-21T10-00-00Z.mcap", 1, 1, RunSummary(started="2026-11-21T10:00:00+00:00", object="cup"))
     assert matches(run, ["CUP", "2026-11"], "2026-11-21")
     assert not matches(run, ["CUP", "saucer"], "")
     assert not matches(run, [], "2026-11-22")
 
 
-def test_a_note_replaces_the_one_that_was_there_and_the_recording_stays_as_it_is(folder: Path) -> None:
+def test_a_note_replaces_the_previous_one_and_leaves_the_recording_unchanged(folder: Path) -> None:
     path = folder / "2026-11-21T10-00-00Z.mcap"
     before = path.read_bytes()
     for text in ("one", "two\nlines "):
@@ -198,7 +198,7 @@ def test_a_note_replaces_the_one_that_was_there_and_the_recording_stays_as_it_is
     shutil.rmtree(folder)
 
 
-def test_a_list_out_of_the_index_loads_nothing_that_reads_recordings(folder: Path) -> None:
+def test_listing_from_the_index_does_not_load_the_recording_reader(folder: Path) -> None:
     indexed(folder)
     program = (
         f"import sys; from palmd.cli import main; main(['runs', {str(folder)!r}])\n"

@@ -1,4 +1,4 @@
-"""Logs of other systems than two palms: which system reads one, and what of it is refused."""
+"""Logs of other systems than two palms: which system reads a log, and errors."""
 
 import json
 
@@ -27,7 +27,7 @@ def log(tmp_path):
     return write
 
 
-def test_each_system_of_the_table_is_there_under_its_name():
+def test_each_system_of_the_table_can_be_found_by_name():
     for name in SYSTEMS:
         system: System = system_of(None if name == TWO_PALMS else name)
         assert system.name == name
@@ -41,7 +41,7 @@ def test_a_log_that_names_no_system_is_of_two_palms(log):
 
 
 @pytest.mark.parametrize(("system", "shown"), [("sledge", '"sledge"'), (TWO_PALMS, '"two_palms"'), ("", '""')])
-def test_a_system_that_nobody_knows_is_refused_in_one_sentence(system, shown, log, tmp_path, capsys):
+def test_an_unknown_system_is_a_one_sentence_error(system, shown, log, tmp_path, capsys):
     path, out = log(system), tmp_path / "out.json"
     for command in ("reconstruct", "estimate"):
         assert main([command, str(path), "-o", str(out)]) == 1
@@ -54,12 +54,12 @@ def test_a_system_that_nobody_knows_is_refused_in_one_sentence(system, shown, lo
         palmd.open(path)
 
 
-def test_a_system_is_called_by_a_name(log):
+def test_a_system_is_described_by_its_name(log):
     with pytest.raises(LogError, match=r":1: rig\.system must be a name, got 3"):
         read_log_of_any(log(3))
 
 
-def test_what_needs_two_palms_refuses_other_systems(log):
+def test_commands_for_two_palms_refuse_other_systems(log):
     with pytest.raises(LogError, match="this command needs a log of two palms"):
         read_log(log("pivot"))
     with pytest.raises(BadLineError):

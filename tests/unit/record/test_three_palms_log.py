@@ -1,4 +1,4 @@
-"""Logs of three palms in space: what is read of them, what is refused, and what is written of a body."""
+"""Logs of three palms in space: reading, errors, and the files written of a body."""
 
 import json
 import math
@@ -63,7 +63,7 @@ def test_both_coordinates_and_the_joints_are_read(log):
         ({"t": 0.0, "joints": {}}, "angle_rad is missing"),
     ],
 )
-def test_a_bad_line_is_named(log, line, what):
+def test_a_bad_line_is_reported_with_its_number(log, line, what):
     with pytest.raises(LogError, match=f":2: {what}"):
         read_log_of_any(log(line))
 
@@ -73,29 +73,29 @@ def test_another_mechanism_is_refused(log):
         read_log_of_any(log(joints(0.0), mechanism="spider"))
 
 
-def test_what_tells_nothing_is_not_converged(log, tmp_path, capsys):
+def test_too_few_readings_do_not_converge(log, tmp_path, capsys):
     path, out = log(*(joints(0.016 * k) for k in range(200))), tmp_path / "out.json"
     assert main(["reconstruct", str(path), "-o", str(out)]) == 0
-    told = json.loads(out.read_text())
-    assert told["converged"] is False
-    assert "a gap in the reports" in told["reason"]
+    result = json.loads(out.read_text())
+    assert result["converged"] is False
+    assert "a gap in the reports" in result["reason"]
     assert main(["reconstruct", str(path), "-o", str(tmp_path / "out.stl")]) == 1
     assert "there is no surface to write" in capsys.readouterr().err
 
 
-def test_without_joints_the_library_gives_the_reason_too(log):
+def test_without_joints_the_library_gives_the_reason(log):
     answer = palmd.reconstruct(log({"t": 0.0, "pad": 1, "a_m": 0.01, "b_m": 0.01}))
     assert (answer.verdict, answer.coverage, len(answer.trajectory["t_s"])) == ("rejected", 0.0, 0)
     assert "joints" in answer.reason
 
 
-def test_what_cannot_be_done_yet_is_refused_in_one_sentence(log, tmp_path, capsys):
+def test_unsupported_options_are_refused_in_one_sentence(log, tmp_path, capsys):
     path, out = log(joints(0.0)), str(tmp_path / "out")
     assert main(["reconstruct", str(path), "-o", out, "--calibration-sd", "zero_m=0.001"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_log_is_estimated_tick_by_tick_by_the_fields_of_its_topic(log, tmp_path):
+def test_a_log_is_estimated_tick_by_tick_with_the_fields_of_its_topic(log, tmp_path):
     reports = [joints(0.016 * k) for k in range(30)]
     readings = [{"t": 0.01 * k + 0.002, "pad": 1 + k % 3, "a_m": 0.0, "b_m": 0.02, "force_n": 0.2} for k in range(45)]
     path, out = log(*sorted([*reports, *readings], key=lambda line: line["t"])), tmp_path / "out.jsonl"
@@ -133,7 +133,7 @@ def test_a_mesh_is_closed_and_faces_outwards():
     assert MESHES[".obj"](Mesh(points, triangles)).decode().count("\nf ") == len(triangles)
 
 
-def test_a_ply_is_coloured_by_the_band_where_it_was_touched():
+def test_a_ply_is_coloured_by_the_sd_where_it_was_touched():
     points, triangles = icosphere(0)
     sd, touched = np.full(len(points), 3e-6), np.arange(len(points)) % 2 == 0
     sd[2] = 3e-4

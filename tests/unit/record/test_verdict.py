@@ -1,4 +1,4 @@
-"""What a result claims: an object, a part of it, or nothing."""
+"""The verdict on a result: an object, a part of it, or rejected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palmd.record.verdict import has_estimate, in_one_line, verdict
     ("explained", "share", "said"),
     [(True, 0.3, "accepted"), (True, 0.1, "accepted"), (True, 0.075, "partial"), (False, 0.3, "rejected")],
 )
-def test_an_object_is_claimed_of_which_enough_was_touched(explained: bool, share: float, said: str) -> None:
+def test_an_object_with_enough_coverage_is_accepted(explained: bool, share: float, said: str) -> None:
     touched = np.arange(360) < 360 * share
     line = verdict(explained, touched, "" if explained else "it slid away")
     assert line["verdict"] == said
@@ -22,7 +22,7 @@ def test_an_object_is_claimed_of_which_enough_was_touched(explained: bool, share
     assert has_estimate(line) == explained
 
 
-def test_a_part_comes_with_the_reason_and_what_to_do() -> None:
+def test_a_partial_outline_has_a_reason_and_advice() -> None:
     line = verdict(True, np.arange(360) < 20, "")
     assert "5.6%" in line["reason"]
     assert in_one_line(line, "outline 9 um").endswith("outline 9 um")
@@ -33,6 +33,6 @@ def test_a_run_without_any_outline_is_rejected() -> None:
     assert (line["verdict"], line["coverage"], line["converged"]) == ("rejected", 0.0, False)
 
 
-def test_results_of_older_versions_have_converged_alone() -> None:
+def test_results_of_older_versions_have_only_converged() -> None:
     assert has_estimate({"converged": True})
     assert not has_estimate({"converged": False})

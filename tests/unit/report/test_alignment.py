@@ -1,4 +1,4 @@
-"""Trajectories against a reference: clock, frame and tracked point are found, and what is left is the noise."""
+"""Trajectories against a reference: clock, frame and tracked point are found, and the residual is the noise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def swung(seconds: float = 20.0, *, plane: bool = True) -> PoseTrack:
 
 
 def filmed(run: PoseTrack, rng: np.random.Generator) -> PoseTrack:
-    """As another system sees it: every third pose, clock and frame and tracked point of its own, with noise."""
+    """The reference of another system: every third pose, with its own clock, frame, tracked point and noise."""
     rows = np.arange(0, len(run.t), 3)
     turn = FRAME * run.rotation[rows] * BODY
     place = PLACE + FRAME.apply(run.position[rows] + run.rotation[rows].apply(MARK))
@@ -38,7 +38,7 @@ def filmed(run: PoseTrack, rng: np.random.Generator) -> PoseTrack:
 
 
 @pytest.mark.parametrize("plane", [True, False], ids=["plane", "space"])
-def test_clock_and_frame_are_found_and_the_noise_is_left(plane: bool) -> None:
+def test_clock_and_frame_are_found_and_the_residual_is_the_noise(plane: bool) -> None:
     run = swung(plane=plane)
     found = compare(filmed(run, np.random.default_rng(1)), run)
     assert abs(found.offset_s - CLOCK_S) < 2e-3
@@ -46,7 +46,7 @@ def test_clock_and_frame_are_found_and_the_noise_is_left(plane: bool) -> None:
     assert found.rotation.rms == pytest.approx(NOISE_RAD * math.sqrt(3), rel=0.1)
 
 
-def test_in_the_same_frame_an_offset_of_the_place_is_an_error() -> None:
+def test_in_the_same_frame_an_offset_of_position_is_an_error() -> None:
     run = swung()
     moved = PoseTrack("moved", run.t, run.position + np.array([1e-3, 0.0, 0.0]), run.rotation)
     assert compare(run, moved, fit=False).position.rms == pytest.approx(1e-3)
@@ -67,13 +67,13 @@ def test_an_object_at_rest_has_no_clock() -> None:
         compare(run, still)
 
 
-def test_plane_and_space_are_not_the_same_motion() -> None:
+def test_trajectories_in_plane_and_space_are_different_motions() -> None:
     run = swung()
     with pytest.raises(AlignmentError, match="same motion"):
         compare(swung(plane=False), run)
 
 
-def test_outlines_are_compared_where_touched_after_the_best_rotation() -> None:
+def test_outlines_are_compared_at_touched_normals_after_the_best_rotation() -> None:
     run = swung()
     theta = np.linspace(0.0, math.tau, 180, endpoint=False)
 

@@ -1,4 +1,4 @@
-"""The report of a body in space: drawn from four sides where it was found, told why where not."""
+"""The report of a body in space: figures from four sides if it converged, otherwise the reason."""
 
 import gzip
 import json
@@ -14,7 +14,7 @@ from palmd.report.surface_figure import first_view
 
 
 @pytest.fixture
-def told():
+def result():
     """A ball of 20 mm, touched from above."""
     directions, triangles = icosphere(2)
     K = 5
@@ -32,21 +32,21 @@ def told():
     }  # fmt: skip
 
 
-def test_it_is_drawn_with_what_was_found(told):
-    page = as_html(body_report("ball", told))
+def test_a_converged_result_is_drawn(result):
+    page = as_html(body_report("ball", result))
     assert page.count("<figure>") == 2
     assert "10 µm RMS" in page
     assert "50.00 ± 0.10 g" in page
 
 
-def test_without_an_answer_it_says_why(told):
-    page = as_html(body_report("ball", told | {"converged": False, "reason": "it rolled away", "trajectory": None}))
+def test_a_result_that_did_not_converge_gives_its_reason(result):
+    page = as_html(body_report("ball", result | {"converged": False, "reason": "it rolled away", "trajectory": None}))
     assert "not converged: it rolled away" in page
     assert "<figure>" not in page
 
 
-def test_the_first_view_is_of_the_side_that_was_touched(told):
-    view = first_view(np.array(told["trajectory"]["contacts_body_m"]))
+def test_the_first_view_is_of_the_touched_side(result):
+    view = first_view(np.array(result["trajectory"]["contacts_body_m"]))
     np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(view) == pytest.approx(1.0)
     assert view[2, 2] > 0.9

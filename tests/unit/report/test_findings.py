@@ -1,4 +1,4 @@
-"""The verdict of a run: findings in order of weight, each with what to do next, and test ratios."""
+"""The verdict on a run: findings in order of severity, each with advice, and test ratios."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ def changed(series: Series, topic: str, **columns: np.ndarray) -> Series:
 
 
 def good(series: Series) -> Series:
-    """Without what the made-up run has of faults, and valid all along."""
+    """The made-up run without faults, and valid throughout."""
     ones = np.ones(len(series.estimate.t))
     calm = replace(series, faults=(), rig_deviations=None, counts={**series.counts, "overruns": 0.0})
     return changed(calm, "estimate", valid=ones, nis=ones)
 
 
-def test_a_run_in_which_nothing_failed_is_good(series) -> None:
+def test_a_run_without_failures_is_good(series) -> None:
     verdict = verdict_of(good(series))
     assert verdict.word == "good"
     assert texts.verdict(verdict) == "good: nothing failed"
 
 
-def test_no_valid_estimate_is_a_failed_run_with_its_reasons(series) -> None:
+def test_a_run_without_a_valid_estimate_has_failed_with_its_reasons(series) -> None:
     run = changed(good(series), "estimate", valid=np.zeros(len(series.estimate.t)))
     run = replace(run, invalid_reasons={"rig-unknown": 7, "the-readings-tell-too-little-of-it": 3, "third": 1})
     verdict = verdict_of(run)
@@ -76,7 +76,7 @@ def test_an_object_lost_at_the_end_outweighs_a_hold(series) -> None:
         ("loop", "work_p99_ms", 10.0, 2.0),
     ],
 )
-def test_what_exceeds_its_limit_is_a_finding_with_an_action(series, topic, column, value, ratio) -> None:
+def test_an_exceeded_limit_is_a_finding_with_an_action(series, topic, column, value, ratio) -> None:
     run = good(series)
     verdict = verdict_of(changed(run, topic, **{column: np.full(len(getattr(run, topic).t), value)}))
     assert verdict.word == "impaired"

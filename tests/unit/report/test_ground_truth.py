@@ -1,4 +1,4 @@
-"""Clock, frame and errors out of a camera's track, against a simulated camera whose clock and frame are known."""
+"""Clock, frame and errors from a camera's track, against a simulated camera with known clock and frame."""
 
 import math
 from dataclasses import replace
@@ -56,14 +56,14 @@ def comparison(run, track, result=None, log=True, outline=None):
 
 
 def offset_error(found, camera):
-    """By how much a camera time in the middle is put at a wrong time of the log."""
+    """Error of the log time that is assigned to a camera time in mid-run."""
     true = found.clock.t_middle / (1 - camera.drift) + camera.offset_s
     return found.clock.log_time(np.array([found.clock.t_middle]))[0] - true
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("palms", [True, False])
-def test_clock_and_frame_are_found_within_their_sigmas(tmp_path, run, seed, palms):
+def test_clock_and_frame_are_found_within_their_sds(tmp_path, run, seed, palms):
     without = () if palms else ("palm1_angle_deg", "palm2_angle_deg")
     found = comparison(run, track_of(tmp_path, run, without=without, seed=seed))
     assert abs(offset_error(found, CAMERA)) < min(5e-3, MOST_SDS * found.clock.offset_sd)
@@ -84,7 +84,7 @@ def test_clock_and_frame_are_found_within_their_sigmas(tmp_path, run, seed, palm
     assert found.omitted == ()
 
 
-def test_a_drift_is_found_where_the_record_is_long_enough(tmp_path, long_run):
+def test_clock_drift_is_estimated_in_long_records(tmp_path, long_run):
     camera = replace(CAMERA, drift=500e-6)
     found = comparison(long_run, track_of(tmp_path, long_run, camera))
     assert abs(found.clock.drift - 500e-6) < MOST_SDS * found.clock.drift_sd
@@ -92,7 +92,7 @@ def test_a_drift_is_found_where_the_record_is_long_enough(tmp_path, long_run):
     assert abs(offset_error(found, camera)) < min(5e-3, MOST_SDS * found.clock.offset_sd)
 
 
-def test_without_a_log_orientation_alone_tells_the_clock(tmp_path, run):
+def test_without_a_log_the_clock_is_found_from_orientation(tmp_path, run):
     found = comparison(run, track_of(tmp_path, run), log=False)
     assert abs(offset_error(found, CAMERA)) < min(5e-3, MOST_SDS * found.clock.offset_sd)
     assert found.frame is None
@@ -101,12 +101,12 @@ def test_without_a_log_orientation_alone_tells_the_clock(tmp_path, run):
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.7e9, -3.1])
-def test_clocks_may_be_any_distance_apart(tmp_path, run, offset):
+def test_clocks_may_differ_by_any_amount(tmp_path, run, offset):
     camera = replace(CAMERA, offset_s=offset)
     assert abs(offset_error(comparison(run, track_of(tmp_path, run, camera)), camera)) < 2e-3
 
 
-def test_records_that_overlap_in_part_are_enough(tmp_path, run):
+def test_records_that_overlap_partly_are_sufficient(tmp_path, run):
     late = np.arange(240) >= 90
     result = exact(run[1])
     early = replace(result, **{name: getattr(result, name)[..., :650] for name in ("t", "psi", "radii")})
@@ -116,7 +116,7 @@ def test_records_that_overlap_in_part_are_enough(tmp_path, run):
     assert found.t[-1] == pytest.approx(6.5, abs=0.1)
 
 
-def test_gaps_are_left_out_and_told(tmp_path, run):
+def test_gaps_are_left_out_and_reported(tmp_path, run):
     seen = np.ones(240, dtype=bool)
     seen[60:120] = False
     track = track_of(tmp_path, run, keep=seen)
@@ -134,7 +134,7 @@ def test_gaps_are_left_out_and_told(tmp_path, run):
 
 
 def test_an_error_of_known_size_is_found(tmp_path, run):
-    """The wrong orientation is told as such where the palms tell the clock; the constant is gauge."""
+    """A wrong orientation is reported as such if the palms determine the clock; its constant part is gauge."""
     result = exact(run[1])
     wrong = replace(result, psi=result.psi + 0.7 + 0.1 * np.sin(3.0 * result.t))
     quiet = replace(CAMERA, angle_sd_rad=1e-4)
@@ -143,13 +143,13 @@ def test_an_error_of_known_size_is_found(tmp_path, run):
     assert found.psi.greatest == pytest.approx(0.1, rel=0.15)
 
 
-def test_skill_of_no_motion_is_nothing(tmp_path, run):
+def test_the_skill_of_no_motion_is_zero(tmp_path, run):
     result = exact(run[1])
     found = comparison(run, track_of(tmp_path, run), replace(result, psi=0.0 * result.psi))
     assert found.psi.skill == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_outline_is_scored_after_the_best_rotation(tmp_path, run):
+def test_the_outline_error_is_that_after_the_best_rotation(tmp_path, run):
     truth = run[1]
     result = exact(truth)
     bent = result.h + 3e-5 * np.cos(9 * result.theta)
@@ -164,30 +164,30 @@ def test_the_outline_is_scored_after_the_best_rotation(tmp_path, run):
     assert found.touched == 1.0
 
 
-# --------------------------------------------------------------------------------------------------- refused
+# ----------------------------------------------------------------------------------------------------- rejected
 
 
 def changed(track, **changes):
     return replace(track, **{name: change(getattr(track, name)) for name, change in changes.items()})
 
 
-def test_what_cannot_be_compared_is_refused_with_the_reason(tmp_path, run):
+def test_records_that_cannot_be_compared_are_rejected_with_the_reason(tmp_path, run):
     track = track_of(tmp_path, run)
     no_palms = changed(track, palms=lambda palms: palms * np.nan)
     other = simulated("odd" if arm(run[0]) is None else "friction", 7, 8.0)
-    for wrong, log, told in (
+    for wrong, log, reason in (
         (changed(no_palms, angle=lambda angle: 0 * angle), False, "the best explains 0%"),
         (changed(track, angle=np.negative, palms=np.negative), True, "y axis point down"),
         (changed(no_palms, angle=lambda angle: np.unwrap(angle) * math.pi / 180), False, "are they in radians"),
         (track_of(tmp_path, other), True, "the track of this run"),
         (changed(track, t=lambda t: t * 1e-3), True, "the shorter record lasts 0.01 s"),
     ):
-        with pytest.raises(GroundTruthError, match=told):
+        with pytest.raises(GroundTruthError, match=reason):
             comparison(run, wrong, log=log)
 
 
-@pytest.mark.parametrize(("swing", "told"), [(1.0, "ambiguous"), (0.01, "no angle changes by more than 2 degrees")])
-def test_a_motion_that_repeats_itself_or_stands_still_tells_no_clock(swing, told):
+@pytest.mark.parametrize(("swing", "reason"), [(1.0, "ambiguous"), (0.01, "no angle changes by more than 2 degrees")])
+def test_a_periodic_or_absent_motion_does_not_determine_the_clock(swing, reason):
     t = np.arange(0.0, 12.0, 0.01)
     ones = np.full(360, 0.02)
     result = Result(t, swing * np.sin(4.0 * t), np.zeros((2, len(t))), np.radians(np.arange(360)), ones, ones, ones > 0)
@@ -195,7 +195,7 @@ def test_a_motion_that_repeats_itself_or_stands_still_tells_no_clock(swing, told
     noise = np.random.default_rng(0).normal(0.0, 5e-3, len(seen))
     nothing = np.full((len(seen), 2), np.nan)
     track = CameraTrack(seen, nothing, swing * np.sin(4.0 * seen) + noise, nothing)
-    with pytest.raises(GroundTruthError, match=told):
+    with pytest.raises(GroundTruthError, match=reason):
         compare(result, motion_of(result, None, []), track, None)
 
 
@@ -204,7 +204,7 @@ ROWS = [f"{0.03 * i:.2f},{i},2,{i}" for i in range(40)]
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "reason"),
     [
         ([], r"csv:1: the file is empty"),
         (["t_s,x,y", *ROWS], r"csv:1: the column object_x_mm is missing"),
@@ -220,15 +220,15 @@ ROWS = [f"{0.03 * i:.2f},{i},2,{i}" for i in range(40)]
         ([HEADER, *(f"{i},{i * 1e3},2,3" for i in range(40))], r"moves by 3.9e\+04 mm: .* in µm\?"),
     ],
 )
-def test_a_track_that_cannot_be_read_is_refused_with_the_line(tmp_path, lines, told):
+def test_an_unreadable_track_is_rejected_with_the_line(tmp_path, lines, reason):
     path = tmp_path / "track.csv"
     path.write_text("\n".join(lines))
-    with pytest.raises(TrackError, match=told) as caught:
+    with pytest.raises(TrackError, match=reason) as caught:
         read_track(path)
     assert "\n" not in str(caught.value)
 
 
-def test_columns_may_stand_in_any_order_and_cells_be_empty(tmp_path):
+def test_columns_may_have_any_order_and_cells_may_be_empty(tmp_path):
     path = tmp_path / "track.csv"
     rows = [f"{i},{90 + i},x,{i},{0.03 * i},-3,{'' if i == 4 else 7}" for i in range(40)]
     head = "palm2_angle_deg,object_angle_deg,note,object_x_mm,t_s,object_y_mm,palm1_angle_deg"
@@ -241,7 +241,7 @@ def test_columns_may_stand_in_any_order_and_cells_be_empty(tmp_path):
     assert np.isnan(track.palms[4, 0])
 
 
-def test_a_track_that_is_not_there_or_no_text(tmp_path):
+def test_a_missing_or_binary_track_is_rejected(tmp_path):
     with pytest.raises(TrackError, match="No such file"):
         read_track(tmp_path / "none.csv")
     (tmp_path / "a.csv").write_bytes(HEADER.encode() + b"\n\xff\n")

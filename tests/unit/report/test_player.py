@@ -1,4 +1,4 @@
-"""The run played back on the report's page: what it is told, and that the page plays it, by itself, in a browser."""
+"""The run played back on the report's page: the data given to the page, and playback in a browser."""
 
 import json
 import math
@@ -23,62 +23,62 @@ def series(folder, **how):
     return synthetic_runs.series(folder, synthetic_runs.messages(2.5, **how))
 
 
-def column(told, name):
-    return [row[told["columns"].index(name)] for row in told["frames"]]
+def column(data, name):
+    return [row[data["columns"].index(name)] for row in data["frames"]]
 
 
 def test_frames_are_the_estimates_at_their_times(tmp_path):
     read = series(tmp_path, second_from=1.5)
-    told = player.player_data(read)
-    t = column(told, "t")
+    data = player.player_data(read)
+    t = column(data, "t")
     assert t == sorted(set(t))
     assert max(np.diff(t)) <= 60
     for number in (0, len(t) // 2, len(t) - 1):
         estimate = int(np.argmin(np.abs(read.estimate.t - t[number] * 1e-3)))
         pose = pose_at(read, estimate)
-        assert column(told, "way2")[number] == pytest.approx(1e3 * pose.directions[-1], abs=1)
-        assert [column(told, "x")[number], column(told, "y")[number]] == pytest.approx(1e6 * pose.centre, abs=1)
-        assert column(told, "valid")[number] == read.valid[estimate]
-    assert told["truth"].keys() == {"1", "2"}
-    json.dumps(told, allow_nan=False)
+        assert column(data, "way2")[number] == pytest.approx(1e3 * pose.directions[-1], abs=1)
+        assert [column(data, "x")[number], column(data, "y")[number]] == pytest.approx(1e6 * pose.centre, abs=1)
+        assert column(data, "valid")[number] == read.valid[estimate]
+    assert data["truth"].keys() == {"1", "2"}
+    json.dumps(data, allow_nan=False)
 
 
 def test_an_outline_is_never_shown_before_it_was_known_nor_for_another_object(tmp_path):
     read = series(tmp_path, second_from=1.5)
-    told = player.player_data(read)
+    data = player.player_data(read)
     times = {i: outline.t for i, outline in enumerate(read.outlines)}
-    for t, number in zip(column(told, "t"), column(told, "outline"), strict=True):
+    for t, number in zip(column(data, "t"), column(data, "outline"), strict=True):
         if number >= 0:
             assert times[number] * 1e3 <= t + 1
-            assert told["outlines"][number]["object"] == (1 if t < 1500 else 2)
-    assert len({number for number in column(told, "outline") if number >= 0}) > 5
+            assert data["outlines"][number]["object"] == (1 if t < 1500 else 2)
+    assert len({number for number in column(data, "outline") if number >= 0}) > 5
 
 
 def test_long_runs_are_thinned(tmp_path, monkeypatch):
     monkeypatch.setattr(player, "MAX_FRAMES", 20)
     monkeypatch.setattr(player, "MAX_OUTLINES", 3)
-    told = player.player_data(series(tmp_path))
-    assert len(told["frames"]) <= 20
-    assert len(told["outlines"]) == 3
+    data = player.player_data(series(tmp_path))
+    assert len(data["frames"]) <= 20
+    assert len(data["outlines"]) == 3
 
 
-def test_a_run_without_outlines_or_truth_still_plays(tmp_path):
-    told = player.player_data(series(tmp_path, observer="extended", shapes=False, truths=False))
-    assert told["outlines"] == []
-    assert told["truth"] == {}
-    assert set(column(told, "outline")) == {-1}
+def test_a_run_without_outlines_or_truth_can_be_played(tmp_path):
+    data = player.player_data(series(tmp_path, observer="extended", shapes=False, truths=False))
+    assert data["outlines"] == []
+    assert data["truth"] == {}
+    assert set(column(data, "outline")) == {-1}
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """The report of a run with two objects: its figures take their time."""
+    """The report of a run with two objects, made once because its figures take long."""
     folder = tmp_path_factory.mktemp("page")
     source = synthetic_runs.write(folder, synthetic_runs.messages(2.5, second_from=1.5))
     assert main(["report", str(source), "-o", str(folder / "r.html")]) == 0
     return folder / "r.html"
 
 
-def test_hints_cannot_break_out_of_the_page(page):
+def test_hints_are_escaped_in_the_page(page):
     data = re.search(r'id="player-data">(.*?)</script>', page.read_text(), re.DOTALL)[1]
     assert "<" not in data
     assert any("<" in hint for _, _, hint in json.loads(data)["faults"])
@@ -103,7 +103,7 @@ def words(browser):
     return dict(zip((c.text for c in cells[::2]), (c.text for c in cells[1::2]), strict=True))
 
 
-def test_the_page_is_scrubbed_through_from_a_file_by_keyboard(browser, page):
+def test_the_page_is_opened_from_a_file_and_scrubbed_by_keyboard(browser, page):
     browser.get(page.as_uri())
     slider = browser.find_element(By.CSS_SELECTOR, "#player input")
     picture = "return document.querySelector('#player canvas').toDataURL()"

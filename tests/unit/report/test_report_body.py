@@ -1,4 +1,4 @@
-"""Where things are in the frames: distances and tangents by elementary geometry."""
+"""Positions in the frames: distances and tangents by elementary geometry."""
 
 from dataclasses import replace
 
@@ -39,14 +39,14 @@ def test_centre_is_r_away_from_each_palm_and_contacts_lie_on_them(series):
     assert pose.directions[0] < np.arctan2(pose.centre[1], pose.centre[0]) < pose.directions[1]
 
 
-def test_felt_points_are_the_contacts_turned_back(series):
-    felt = contact_points(series, (101,))
+def test_contact_points_are_the_contacts_in_the_bodys_frame(series):
+    touched_points = contact_points(series, (101,))
     pose = pose_at(series, 101)
-    back = turned(felt, pose.psi) + pose.centre[:, None]
+    back = turned(touched_points, pose.psi) + pose.centre[:, None]
     assert back == pytest.approx(np.stack(pose.contacts, axis=1))
 
 
-def test_frames_are_valid_rising_and_reach_from_the_first_to_the_last(series):
+def test_frames_are_valid_increasing_and_cover_the_whole_run(series):
     numbers = frames(series, 12)
     assert len(numbers) == 12
     assert series.valid[list(numbers)].all()
@@ -55,14 +55,14 @@ def test_frames_are_valid_rising_and_reach_from_the_first_to_the_last(series):
 
 
 @pytest.mark.parametrize("name", ["r1_m", "phi2_rad", "psi_rad"])
-def test_what_is_called_valid_but_is_not_finite_is_no_frame(series, name):
+def test_a_valid_estimate_that_is_not_finite_gives_no_frame(series, name):
     series.estimate[name][60:200] = np.nan
     numbers = np.array(frames(series, 12))
     assert len(numbers) > 5
     assert not ((numbers >= 60) & (numbers < 200)).any()
 
 
-def test_frames_are_closer_where_the_outline_grows(series):
+def test_frames_are_denser_while_the_outline_grows(series):
     touched = series.estimate["touched"]
     touched[:] = np.clip((series.estimate.t - 1.0) * 2, 0.0, 0.8)  # all of it between 1 s and 1.4 s
     t = series.estimate.t[list(frames(series, 12))]
@@ -75,7 +75,7 @@ def test_an_outline_is_never_shown_before_it_was_known_nor_of_another_object(ser
     assert outline_known(series, 1.95, 2) is None
 
 
-def test_on_arcs_centre_and_contacts_are_where_the_plant_has_them(series):
+def test_on_curved_palms_centre_and_contacts_agree_with_the_plant(series):
     curvatures = (14.0, -9.0)
     plant = CurvedPlant(
         random_body("friction", np.random.default_rng(3)),
@@ -86,21 +86,21 @@ def test_on_arcs_centre_and_contacts_are_where_the_plant_has_them(series):
     palms = PalmMotion.at_rest(joints_of(0.02, (0.75, 1.65), curvatures))
     plant.place(palms, 0.4)
     contacts, radii = plant.contacts(), plant.radii()
-    told = {"psi_rad": 0.4}
+    columns_of_pose = {"psi_rad": 0.4}
     for number in range(2):
-        told |= {f"phi{number + 1}_rad": palms.angles[number], f"s{number + 1}_m": contacts[number].s,
+        columns_of_pose |= {f"phi{number + 1}_rad": palms.angles[number], f"s{number + 1}_m": contacts[number].s,
                  f"r{number + 1}_m": radii[number]}  # fmt: skip
     bent = tuple(replace(pad, curvature=kappa) for pad, kappa in zip(series.run.rig.pads, curvatures, strict=True))
     curved = replace(
         series,
         run=replace(series.run, rig=replace(series.run.rig, pads=bent)),
         estimate=replace(
-            series.estimate, columns={name: np.full(len(series.estimate.t), x) for name, x in told.items()}
+            series.estimate, columns={name: np.full(len(series.estimate.t), x) for name, x in columns_of_pose.items()}
         ),
     )
     pose = pose_at(curved, 0)
     assert pose.centre == pytest.approx([plant.state.x, plant.state.y], abs=1e-9)
     for palm, contact, s in zip(pose.palms(0.06), pose.contacts, (each.s for each in contacts), strict=True):
         assert np.hypot(*np.diff(palm)).sum() == pytest.approx(0.06, rel=1e-3)
-        assert np.hypot(*(palm - contact[:, None])).min() < 0.0015, "the contact lies on what is drawn"
+        assert np.hypot(*(palm - contact[:, None])).min() < 0.0015, "the contact lies on the drawn palm"
         assert np.hypot(*contact) < s, "a chord is shorter than its arc"

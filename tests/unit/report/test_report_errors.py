@@ -1,4 +1,4 @@
-"""Errors against the rig's truth, from runs whose errors are known beforehand."""
+"""Errors against the rig's truth, from runs with known errors."""
 
 import math
 
@@ -23,7 +23,7 @@ def series(tmp_path):
 
 
 def changed(folder, seconds, from_s, change, **how):
-    """A run of which the estimates from a time on are changed."""
+    """A run whose estimates are changed from a time on."""
     messages = list(synthetic_runs.messages(seconds, **how))
     for topic, fields, t, _ in messages:
         if topic == "palm/estimate" and t > from_s - 0.005:
@@ -31,19 +31,19 @@ def changed(folder, seconds, from_s, change, **how):
     return synthetic_runs.series(folder, messages)
 
 
-def test_errors_and_how_many_are_inside(series):
+def test_errors_and_the_share_within_the_band(series):
     read = series()
     errors = errors_of(read)
     by_hand = [synthetic_runs.SD_M * (3.0 if tick % 4 == 0 else 1.5) for tick in range(250)]
     assert errors.error["r1_m"] == pytest.approx(by_hand, abs=1e-12)
-    assert count_within_band(read, errors, "r1_m") == (150, 200)  # of 2 s of valid ticks every fourth is outside
+    assert count_within_band(read, errors, "r1_m") == (150, 200)  # in 2 s of valid ticks every fourth is outside
     assert count_within_band(read, errors, "r2_m") == (200, 200)
-    mean = (9.0 / 4 + 2.25 * 3 / 4) / 3  # r1 alone is off
+    mean = (9.0 / 4 + 2.25 * 3 / 4) / 3  # only r1 has an error
     assert np.nanmean(normalised_errors(read, errors)) == pytest.approx(mean)
     assert np.isnan(normalised_errors(read, errors)).sum() == 50
 
 
-def test_the_gauge_of_psi_is_taken_out(series):
+def test_the_gauge_of_psi_is_removed(series):
     read = series()
     errors = errors_of(read)
     assert np.abs(errors.error["psi_rad"]).max() < 1e-6
@@ -55,17 +55,17 @@ def test_every_object_has_a_gauge_of_its_own(tmp_path):
     read = changed(tmp_path, 3.0, 1.5, lambda fields: fields.update(psi_rad=fields["psi_rad"] - 7.0), second_from=1.5)
     errors = errors_of(read)
     assert np.abs(errors.error["psi_rad"]).max() < 1e-6
-    assert np.abs(errors.true["psi_rad"] - read.estimate["psi_rad"]).max() < 1e-6  # drawn beside it, no turn away
+    assert np.abs(errors.true["psi_rad"] - read.estimate["psi_rad"]).max() < 1e-6  # drawn close to it, no turn away
 
 
-def test_some_ticks_that_are_far_off_do_not_move_the_gauge(tmp_path):
+def test_a_few_large_errors_do_not_move_the_gauge(tmp_path):
     read = changed(tmp_path, 2.0, 1.8, lambda fields: fields.update(psi_rad=fields["psi_rad"] + 0.5))
     error = errors_of(read).error["psi_rad"]
     assert np.abs(error[:180]).max() < 1e-6
     assert error[180:] == pytest.approx(np.full(20, 0.5))
 
 
-def test_truth_that_begins_late_is_not_made_up(tmp_path):
+def test_truth_that_begins_late_is_not_extrapolated(tmp_path):
     messages = [each for each in synthetic_runs.messages(2.0) if not (each[0] == "rig/truth" and each[2] < 0.995)]
     read = synthetic_runs.series(tmp_path, messages)
     errors = errors_of(read)
@@ -80,7 +80,7 @@ def test_without_truth_there_are_no_errors(series):
     assert body_at(read, 1.0) is None
 
 
-def test_outline_is_turned_back_and_scored(series):
+def test_the_outline_is_rotated_back_and_compared(series):
     read = series()
     (outline,) = last_outlines(read)
     found = outline_errors(outline, body_at(read, outline.t))
@@ -92,7 +92,7 @@ def test_outline_is_turned_back_and_scored(series):
     assert found.touched_score.touched == pytest.approx(np.mean(outline.touched))
 
 
-def test_what_is_known_well_says_how_the_outline_is_turned(series):
+def test_well_known_normals_determine_the_outlines_rotation(series):
     read = series()
     (outline,) = last_outlines(read)
     outline.h[90:] += 1e-3 * np.sin(3 * synthetic_runs.THETA[90:])
@@ -106,7 +106,7 @@ def test_each_object_with_a_valid_outline_is_shown_once(series):
     assert [(each.number, round(each.t, 3)) for each in last_outlines(read)] == [(1, 1.4), (2, 2.4)]
 
 
-def test_what_came_after_the_last_valid_outline_is_not_shown(tmp_path):
+def test_outlines_after_the_last_valid_one_are_not_shown(tmp_path):
     (outline,) = last_outlines(changed(tmp_path, 2.5, 2.0, lambda fields: fields.update(valid=False)))
     assert outline.t == pytest.approx(1.9)
 
@@ -117,7 +117,7 @@ def test_without_a_valid_outline_the_last_one_is_shown(series):
     assert outline.t == pytest.approx(2.4)
 
 
-def test_scores_over_time(series):
+def test_outline_errors_over_time(series):
     t, e_h, largest = scores_over_time(series())
     assert len(t) == 20
     assert e_h == pytest.approx(np.full(20, synthetic_runs.OFF_M), rel=1e-3)

@@ -1,4 +1,4 @@
-"""The report of a run: a whole page and a whole PDF, whatever the run holds, and one clear line when it cannot be."""
+"""The report of a run: a complete page and PDF for any run, and a one-line error if that is impossible."""
 
 import re
 import sys
@@ -46,7 +46,7 @@ def said(made):
 
 
 class Page(HTMLParser):
-    """Follows tags, names and references."""
+    """Collects tags, names and references."""
 
     def __init__(self, text):
         super().__init__()
@@ -85,12 +85,12 @@ def page(tmp_path_factory):
     return target.read_text()
 
 
-def test_page_is_whole_and_needs_nothing_from_elsewhere(page):
+def test_the_page_is_complete_and_loads_nothing_external(page):
     read = Page(page)
     assert read.open == []
     assert read.tags.count("svg") == read.tags.count("figure") == 10
     assert not {"link", "img", "iframe", "object"} & set(read.tags)
-    assert read.tags.count("script") == 2  # the run's data, and what plays them back
+    assert read.tags.count("script") == 2  # the run's data, and the player
     assert not re.search(
         r"fetch\(|XMLHttp|WebSocket|import\b", "".join(re.findall("<script>(.*?)</script>", page, re.S))
     )
@@ -104,7 +104,7 @@ def test_page_is_whole_and_needs_nothing_from_elsewhere(page):
     assert "@import" not in page
 
 
-def test_page_says_what_the_run_was(page):
+def test_the_page_describes_the_run(page):
     text = " ".join(" ".join(Page(page).text).split())
     for words in (
         "2026-11-21 22:30:05 UTC", "2.5 s", "observer shape", "complete", "2; with a valid estimate: 1, 2",
@@ -114,7 +114,7 @@ def test_page_says_what_the_run_was(page):
         assert words in text
 
 
-def test_pdf_has_its_pages_and_embeds_its_fonts(tmp_path):
+def test_the_pdf_has_its_pages_and_embeds_its_fonts(tmp_path):
     target = tmp_path / "report.pdf"
     assert main(["report", str(path()), "-o", str(target)]) == 0
     data = target.read_bytes()
@@ -134,7 +134,7 @@ def test_the_same_run_gives_the_same_page_and_pdf(tmp_path):
     assert as_pdf(made) == as_pdf(made)
 
 
-def test_without_truth_and_outline(tmp_path):
+def test_a_run_without_truth_and_outline(tmp_path):
     made = report(tmp_path, synthetic_runs.messages(1.5, observer="extended", shapes=False, truths=False))
     assert "Coverage" not in titles(made)
     assert "this observer estimates no outline" in said(made)["outcome"]
@@ -145,7 +145,7 @@ def test_without_truth_and_outline(tmp_path):
     draw(made)
 
 
-def test_never_valid(tmp_path):
+def test_a_run_without_valid_estimates(tmp_path):
     made = report(tmp_path, synthetic_runs.messages(0.9, valid=False))
     assert said(made)["outcome"] == "no estimate was valid"
     assert said(made)["objects"] == "one, never valid"
@@ -153,18 +153,18 @@ def test_never_valid(tmp_path):
     draw(made)
 
 
-def test_a_single_tick(tmp_path):
+def test_a_run_of_a_single_tick(tmp_path):
     draw(report(tmp_path, synthetic_runs.messages(0.01)))
 
 
-def test_nothing_but_estimates(tmp_path):
+def test_a_run_of_estimates_only(tmp_path):
     made = report(tmp_path, [each for each in synthetic_runs.messages(1.0) if each[0] == ESTIMATE.name])
     assert titles(made)[-3:] == ["Faults", "Messages", "Configuration"]
     assert not {"Motion", "Loop"} & set(titles(made))
     draw(made)
 
 
-def test_what_is_off_of_the_rig_in_the_end(tmp_path):
+def test_mis_calibrated_constants_at_the_end_are_listed(tmp_path):
     messages = [*synthetic_runs.messages(1.0)]
     sds, none = np.full(len(RIG_NAMES), 1.0), np.zeros(len(RIG_NAMES))
     off, not_off = (rig_fields(np.full(len(RIG_NAMES), value), sds, 2.0 * sds, none) for value in (9.0, 0.0))
@@ -175,7 +175,7 @@ def test_what_is_off_of_the_rig_in_the_end(tmp_path):
         draw(made)
 
 
-def test_numbers_that_are_not_known(tmp_path):
+def test_unknown_numbers_are_shown_as_unknown(tmp_path):
     messages = list(synthetic_runs.messages(1.5))
     for topic, fields, t, _ in messages:
         for name in [name for name, value in fields.items() if isinstance(value, float)]:
@@ -184,7 +184,7 @@ def test_numbers_that_are_not_known(tmp_path):
     draw(report(tmp_path, messages))
 
 
-def test_cut_short_is_said(tmp_path):
+def test_a_truncated_run_is_marked(tmp_path):
     made = report(tmp_path, synthetic_runs.messages(0.3), finish=False)
     assert "not finished" in said(made)["recording"]
 
@@ -209,7 +209,7 @@ def test_a_figure_of_a_long_run_stays_small(tmp_path):
 
 
 def draw(made):
-    """Everything but the writing, which takes most of the time."""
+    """Everything except writing, which takes most of the time."""
     for section in made.sections:
         for part in section.parts:
             if isinstance(part, CaptionedFigure):
@@ -226,7 +226,7 @@ def draw(made):
         (["RUN", "-o", "folder.pdf"], "folder.pdf: cannot be written: Is a directory"),
     ],
 )
-def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, line):
+def test_bad_input_is_a_one_line_error(tmp_path, monkeypatch, capsys, arguments, line):
     monkeypatch.chdir(tmp_path)
     Path("prose.mcap").write_text("not a run\n")
     Path("folder.pdf").mkdir()
@@ -243,7 +243,7 @@ def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
     assert run.read_bytes() == path().read_bytes()
 
 
-def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
+def test_without_matplotlib_the_error_says_what_to_install(tmp_path, monkeypatch, capsys):
     for name in [name for name in sys.modules if name.startswith("palmd.report.")]:
         if name.rpartition(".")[2] not in ("command", "series", "words"):
             monkeypatch.delitem(sys.modules, name)
@@ -258,7 +258,7 @@ def test_without_matplotlib_it_says_so(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "report.html").exists()
 
 
-def test_the_name_is_the_runs_when_none_is_given(tmp_path, monkeypatch, capsys):
+def test_the_default_name_is_the_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
     assert main(["report", str(path())]) == 0

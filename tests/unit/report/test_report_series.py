@@ -1,4 +1,4 @@
-"""A run as arrays: what was recorded is there, at its time, and what is missing is told."""
+"""A run as arrays: recorded values at their times, and missing ones marked."""
 
 import math
 
@@ -12,7 +12,7 @@ from palmd.record.run import read_run
 from palmd.report.series import SD, series_of
 
 
-def test_everything_is_there_at_its_time(tmp_path):
+def test_every_value_is_at_its_time(tmp_path):
     messages = list(synthetic_runs.messages(3.0, second_from=2.0))
     read = synthetic_runs.series(tmp_path, messages)
     sent = [fields for topic, fields, *_ in messages if topic == ESTIMATE.name]
@@ -32,7 +32,7 @@ def test_everything_is_there_at_its_time(tmp_path):
     assert len(read.bodies) == 3
 
 
-def test_what_lasted_and_what_went_wrong(tmp_path):
+def test_durations_and_failures_are_counted(tmp_path):
     read = synthetic_runs.series(tmp_path, synthetic_runs.messages(2.5))
     assert [spell.label for spell in read.states] == ["idle", "tracking"]
     assert read.states[0].end == read.states[1].begin == pytest.approx(0.2)
@@ -52,7 +52,7 @@ def test_what_lasted_and_what_went_wrong(tmp_path):
     assert garbled.begin == pytest.approx(1.0)
 
 
-def test_a_field_that_comes_late_is_not_known_before(tmp_path):
+def test_a_field_that_appears_late_is_unknown_before(tmp_path):
     messages = list(synthetic_runs.messages(1.0, shapes=False, truths=False))
     for topic, fields, t, _ in messages:
         if topic == ESTIMATE.name and t > 0.495:
@@ -62,7 +62,7 @@ def test_a_field_that_comes_late_is_not_known_before(tmp_path):
     assert column[50:].tolist() == [1.0] * 50
 
 
-def test_a_run_that_was_cut_off_tells_what_was_left_out(tmp_path):
+def test_a_truncated_run_reports_what_was_left_out(tmp_path):
     path = synthetic_runs.write(tmp_path, synthetic_runs.messages(1.0), finish=False)
     whole = path.read_bytes()
     path.write_bytes(whole[:-137])
@@ -73,7 +73,7 @@ def test_a_run_that_was_cut_off_tells_what_was_left_out(tmp_path):
     assert 90 <= len(read.estimate.t) <= 100
 
 
-def test_topics_that_are_not_there_are_empty(tmp_path):
+def test_missing_topics_are_empty(tmp_path):
     kept = (ESTIMATE.name,)
     read = synthetic_runs.series(tmp_path, [each for each in synthetic_runs.messages(0.5) if each[0] in kept])
     assert len(read.motion.t) == len(read.loop.t) == len(read.truth.t) == 0
@@ -89,7 +89,7 @@ def test_progress_counts_every_message(tmp_path):
     assert done == list(range(1, len(messages) + 1))
 
 
-def test_without_an_estimate_there_is_nothing_to_report(tmp_path):
+def test_a_run_without_an_estimate_cannot_be_reported(tmp_path):
     with pytest.raises(RunError, match=r"holds no palm/estimate: there is nothing to report"):
         synthetic_runs.series(tmp_path, [each for each in synthetic_runs.messages(0.3) if each[0] == MOTION.name])
 
@@ -98,7 +98,7 @@ def test_without_an_estimate_there_is_nothing_to_report(tmp_path):
     ("topic", "field", "value"),
     [(ESTIMATE, "r1_m", "wide"), (ESTIMATE, "nis", None), (MOTION, "phi1_rad", [1.0]), (SHAPE, "h_m", [0.02])],
 )
-def test_a_message_that_is_not_what_its_topic_says_is_named(tmp_path, topic, field, value):
+def test_a_message_that_violates_its_topics_table_is_named(tmp_path, topic, field, value):
     messages = list(synthetic_runs.messages(0.3))
     next(fields for name, fields, *_ in messages if name == topic.name)[field] = value
     path = synthetic_runs.write_packed(tmp_path / "run.mcap", messages)
@@ -106,7 +106,7 @@ def test_a_message_that_is_not_what_its_topic_says_is_named(tmp_path, topic, fie
         series_of(read_run(path), read_run(path).survey())
 
 
-def test_a_column_nobody_told_is_unknown(tmp_path):
+def test_a_column_never_published_is_unknown(tmp_path):
     read = synthetic_runs.series(tmp_path, synthetic_runs.messages(0.2))
     assert math.isnan(read.contact["age9_ms"][0])
     assert len(read.contact["age9_ms"]) == 20

@@ -1,4 +1,4 @@
-"""Lines made short for print keep what can be seen of them."""
+"""Thinned lines keep their visible shape."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from palmd.report.thinning import thinned, thinned_band, with_gaps
 
 
 @given(values=arrays(np.float64, st.integers(50, 400), elements=st.floats(-1e3, 1e3)), columns=st.integers(5, 20))
-def test_no_peak_is_lost_and_nothing_made_up(values, columns):
+def test_no_peak_is_lost_and_no_value_invented(values, columns):
     t = np.arange(len(values)) * 0.01
     t_thin, thin = thinned(t, values, columns)
     assert len(thin) <= max(3 * columns, len(values) if len(values) <= 2 * columns else 0)
@@ -20,7 +20,7 @@ def test_no_peak_is_lost_and_nothing_made_up(values, columns):
     assert all(at[each] == value for each, value in zip(t_thin.tolist(), thin.tolist(), strict=True))
 
 
-def test_a_short_line_is_itself():
+def test_a_short_line_is_unchanged():
     t, values = np.arange(10) * 0.1, np.arange(10.0)
     t_thin, thin = thinned(t, values, 20)
     assert t_thin.tolist() == t.tolist()
@@ -46,7 +46,7 @@ def test_unknown_values_stay_unknown():
     assert np.isfinite(thin[t_thin < 2.9]).all()
 
 
-def test_a_band_covers_everything_in_its_columns():
+def test_a_band_covers_all_values_in_its_columns():
     t = np.arange(1000) * 0.01
     low, high = -1 - np.abs(np.sin(40 * t)), 1 + np.abs(np.cos(37 * t))
     high[400:420] = low[400:420] = np.nan
@@ -57,6 +57,6 @@ def test_a_band_covers_everything_in_its_columns():
     assert np.nanmax(greatest) == np.nanmax(high)
 
 
-def test_no_values_are_no_gap():
+def test_a_line_without_values_has_no_gap():
     assert [len(each) for each in with_gaps(np.zeros(0), np.zeros(0))] == [0, 0]
     assert [len(each) for each in thinned_band(np.zeros(1), np.ones(1), np.ones(1))] == [1, 1, 1]

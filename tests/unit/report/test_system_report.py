@@ -1,4 +1,4 @@
-"""What is drawn of a system with tables of its own."""
+"""Figures of a system with its own tables."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""`palmd why`: what is done to the daemon's real core, without wires, is told from the recording alone."""
+"""`palmd why`: faults injected into the daemon's real core, without ports, are explained from the recording alone."""
 
 import json
 import math
@@ -73,7 +73,7 @@ class Recorded:
         self.core.overran(self.t, seconds)
 
     def starve(self, seconds, says=True):
-        """The emulated rig gets no processor for a while, and says so when it goes on; the daemon lives on."""
+        """The emulated rig gets no processor for a while and reports it afterwards; the daemon continues."""
         t_end = self.t + seconds
         while self.t < t_end - STEP_S / 2:
             self._steps += self._steps_per_tick
@@ -87,7 +87,7 @@ class Recorded:
 
 
 class Rig(Recorded, TwoPalmsLoop):
-    """Two palms that know nothing of what is on them."""
+    """Two palms without an observer."""
 
     def __init__(self, folder, spec=SWING, config=None):
         super().__init__(recorded_in(folder, config or default_config()), spec, 3, estimator=Silent())
@@ -102,7 +102,7 @@ class RigInSpace(Recorded, ThreePalmsLoop):
 
 
 class PivotingRig(Recorded, PivotLoop):
-    """A pivoting grasp, whose smoother is never asked."""
+    """A pivoting grasp whose smoother is never asked."""
 
     def __init__(self, folder):
         config = load_any_config(shipped("pivot.yaml"))
@@ -111,7 +111,7 @@ class PivotingRig(Recorded, PivotLoop):
 
 
 def run_of(folder, act, seconds=1.7, spec=SWING, config=None):
-    """What a swinging rig records to which something is done after a second, and when (s) that was."""
+    """The recording of a swinging rig to which something is done after a second, and the time of that (s)."""
     rig = Rig(folder, spec, config)
     rig.start()
     rig.go(1.0)
@@ -138,19 +138,19 @@ PROVOKED = {
     "nothing": lambda _rig: None,
 }
 LATER_S = {"arm-late": 0.2}
-WITHOUT_LOG = {"arm-foreign": "arm-mute"}  # a handful of bytes are lost among the good ones of that second
+WITHOUT_LOG = {"arm-foreign": "arm-mute"}  # a few bytes are lost among the good ones of that second
 
 
 @pytest.mark.parametrize("name", PROVOKED)
-def test_the_cause_is_told_with_its_evidence_also_without_a_log(name, tmp_path):
+def test_the_cause_is_found_with_its_evidence_with_and_without_a_log(name, tmp_path):
     run, t = run_of(tmp_path, PROVOKED[name])
     timeline = timeline_of(run)
     for each in (timeline, replace(timeline, log=())):
-        told = answer(run, each, t + LATER_S.get(name, 0.5))
+        explanation = answer(run, each, t + LATER_S.get(name, 0.5))
         wanted = {name} if each.log else {name, WITHOUT_LOG.get(name)}
-        assert told.cause.name in wanted, "\n".join(lines(told))
-        assert told.cause.evidence or name == "nothing"
-        text = "\n".join(lines(told))
+        assert explanation.cause.name in wanted, "\n".join(lines(explanation))
+        assert explanation.cause.evidence or name == "nothing"
+        text = "\n".join(lines(explanation))
         assert "nan" not in text
         assert "inf" not in text
 
@@ -164,7 +164,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_other_systems_are_told_of_as_well(name, tmp_path):
+def test_causes_are_found_on_other_systems(name, tmp_path):
     make, act, cause, where = OTHERS[name]
     rig = make(tmp_path)
     rig.start()
@@ -172,14 +172,14 @@ def test_other_systems_are_told_of_as_well(name, tmp_path):
     t = rig.t
     act(rig)
     rig.go(0.7)
-    told = explain(read_any_run(rig.recorder.finish()), t + 0.5)
-    assert told.cause.name == cause, "\n".join(lines(told))
-    assert where in {each.where for each in told.cause.evidence}
+    explanation = explain(read_any_run(rig.recorder.finish()), t + 0.5)
+    assert explanation.cause.name == cause, "\n".join(lines(explanation))
+    assert where in {each.where for each in explanation.cause.evidence}
 
 
 SERVOS = {
     "mute": (lambda rig: rig.play("mute", "arm"), "arm-mute"),
-    "misbaud": (lambda rig: rig.play("misbaud", "arm"), "arm-mute"),  # no servo answers what it cannot understand
+    "misbaud": (lambda rig: rig.play("misbaud", "arm"), "arm-mute"),  # no servo answers what it cannot decode
     "garble": (lambda rig: rig.play("garble", "arm", 0.02), "arm-damaged"),
     "overheat": (lambda rig: rig.play("overheat", "arm"), "arm-servo"),
     "held up": (lambda rig: rig.starve(0.13, says=False), "arm-watchdog"),
@@ -187,40 +187,40 @@ SERVOS = {
 
 
 @pytest.mark.parametrize("provoked", SERVOS)
-def test_the_cause_is_told_of_a_rig_of_servos(provoked, tmp_path):
+def test_the_cause_is_found_on_a_rig_of_servos(provoked, tmp_path):
     act, name = SERVOS[provoked]
     run, t = run_of(tmp_path, act, config=load_config(TABLETOP))
-    told = explain(run, t + 0.5 - timeline_of(run).begin)
-    assert told.cause.name == name, "\n".join(lines(told))
-    assert told.cause.evidence
+    explanation = explain(run, t + 0.5 - timeline_of(run).begin)
+    assert explanation.cause.name == name, "\n".join(lines(explanation))
+    assert explanation.cause.evidence
 
 
-def test_a_break_is_told_by_the_controllers_own_code(tmp_path):
+def test_a_break_is_identified_by_the_controllers_error_code(tmp_path):
     run, t = run_of(tmp_path, lambda rig: rig.play("break", "arm"))
-    told = explain(run, t + 0.5 - timeline_of(run).begin)
-    assert told.cause.name == "arm-break"
-    assert any("-0504" in clue.what for clue in told.cause.evidence)
+    explanation = explain(run, t + 0.5 - timeline_of(run).begin)
+    assert explanation.cause.name == "arm-break"
+    assert any("-0504" in clue.what for clue in explanation.cause.evidence)
 
 
-def test_which_age_and_which_limit(tmp_path):
+def test_the_explanation_names_the_age_and_its_limit(tmp_path):
     run, _ = run_of(tmp_path, PROVOKED["pad1-mute"])
-    told = explain(run)
-    (reading,) = (clue.what for clue in told.cause.evidence if clue.where == "palm/events")
+    explanation = explain(run)
+    (reading,) = (clue.what for clue in explanation.cause.evidence if clue.where == "palm/events")
     assert "the limit is 5 intervals" in reading
-    (logged,) = (clue.what for clue in told.cause.evidence if clue.where == "palm/log")
+    (logged,) = (clue.what for clue in explanation.cause.evidence if clue.where == "palm/log")
     assert "not a byte has come since" in logged
-    assert told.standing[0][0] == "pad1-silent"
-    assert "pad's cable" in told.hint
+    assert explanation.standing[0][0] == "pad1-silent"
+    assert "pad's cable" in explanation.hint
 
 
-def test_who_held_it_is_told_where_there_is_a_log(tmp_path):
+def test_the_client_that_held_the_rig_is_named_if_there_is_a_log(tmp_path):
     run, _ = run_of(tmp_path, PROVOKED["command"])
     assert "hold was requested, by ann" in explain(run).cause.sentence
     timeline = timeline_of(run)
     assert "a client sent the command hold" in answer(run, replace(timeline, log=()), None).cause.sentence
 
 
-def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
+def test_a_transient_fault_is_explained_after_it_has_ended(tmp_path):
     def blink(rig):
         rig.play("mute", "pad1")
         while rig.core.state != "hold":
@@ -228,27 +228,27 @@ def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
         rig.world.fault_injector.cancel("mute", "pad1")
 
     run, _ = run_of(tmp_path, blink)
-    told = explain(run)
-    ((code, seconds),) = told.standing
-    assert (told.cause.name, code) == ("pad1-mute", "pad1-silent")
+    explanation = explain(run)
+    ((code, seconds),) = explanation.standing
+    assert (explanation.cause.name, code) == ("pad1-mute", "pad1-silent")
     assert seconds < 0.1
 
 
-def test_a_fault_that_came_and_went_between_two_messages_is_told_by_the_log(tmp_path):
+def test_a_fault_between_two_messages_is_found_in_the_log(tmp_path):
     def wink(rig):
         rig._steps += 8 * rig._steps_per_tick - 2
         rig.core.look(rig.t)
         rig._step()
 
     run, _ = run_of(tmp_path, wink)
-    assert not any(told.with_severity("hold", "stop") for told in timeline_of(run).states)
-    told = explain(run)
-    assert (told.state, [code for code, _ in told.standing]) == ("hold", ["pad1-silent", "pad2-silent"])
-    assert told.cause.kind not in ("command", "ended")
-    assert "cable" in told.hint
+    assert not any(state.with_severity("hold", "stop") for state in timeline_of(run).states)
+    explanation = explain(run)
+    assert (explanation.state, [code for code, _ in explanation.standing]) == ("hold", ["pad1-silent", "pad2-silent"])
+    assert explanation.cause.kind not in ("command", "ended")
+    assert "cable" in explanation.hint
 
 
-def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
+def test_a_hold_that_has_ended_can_be_explained_by_its_time(tmp_path):
     def hold_and_go_on(rig):
         rig.give("hold", "ann")
         rig.go(0.5)
@@ -263,7 +263,7 @@ def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
     assert explain(run, 0.01).cause.name == "before"
 
 
-def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
+def test_the_end_of_a_plan_and_a_requested_end_are_causes(tmp_path):
     run, t = run_of(tmp_path, lambda _rig: None, spec=SHORT)
     begin = timeline_of(run).begin
     assert "is complete" in explain(run, t + 1.6 - begin).cause.sentence
@@ -273,7 +273,7 @@ def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
         explain(run, 60.0)
 
 
-def test_a_daemon_that_has_died_and_a_recording_that_was_cut(tmp_path):
+def test_a_daemon_that_died_differs_from_a_truncated_recording(tmp_path):
     rig = Rig(tmp_path)
     rig.start()
     rig.go(2.0)
@@ -283,7 +283,7 @@ def test_a_daemon_that_has_died_and_a_recording_that_was_cut(tmp_path):
     assert explain(read_run(rig.recorder.finish()), 60.0).cause.name == "died"
 
 
-def test_a_later_time_is_told_by_the_file_that_goes_on(tmp_path):
+def test_a_later_time_is_explained_from_the_next_file(tmp_path):
     rig = Rig(tmp_path)
     rig.start()
     rig.go(1.0)
@@ -293,34 +293,34 @@ def test_a_later_time_is_told_by_the_file_that_goes_on(tmp_path):
     rig.go(1.0)
     rig.recorder.finish()
     first, second = map(read_run, sorted(tmp_path.glob("*.mcap")))
-    told = explain(first, t + 0.5 - timeline_of(first).begin)
-    assert (told.recording, told.cause.name) == (second.path.name, "pad1-mute")
-    told = explain(first)
-    assert (told.recording, told.cause.name) == (first.path.name, "goes-on")
-    assert second.path.name in told.cause.sentence
+    explanation = explain(first, t + 0.5 - timeline_of(first).begin)
+    assert (explanation.recording, explanation.cause.name) == (second.path.name, "pad1-mute")
+    explanation = explain(first)
+    assert (explanation.recording, explanation.cause.name) == (first.path.name, "goes-on")
+    assert second.path.name in explanation.cause.sentence
 
 
-def test_the_command_prints_it_in_words_and_as_json(tmp_path, capsys):
+def test_the_command_prints_text_or_json(tmp_path, capsys):
     run, _ = run_of(tmp_path, PROVOKED["pad1-mute"])
     assert main(["why", str(run.path)]) == 0
     said = capsys.readouterr().out
     assert "the motion was held" in said
     assert "why       pad 1 sent no more data" in said
     assert main(["why", str(run.path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["cause"]["name"] == "pad1-mute"
-    assert told["until"] is None
+    explanation = json.loads(capsys.readouterr().out)
+    assert explanation["cause"]["name"] == "pad1-mute"
+    assert explanation["until"] is None
 
 
 @pytest.mark.parametrize("t", ["-1", "nan", "soon"])
-def test_a_time_that_is_none_is_a_usage_error(t, tmp_path, capsys):
+def test_an_invalid_time_is_a_usage_error(t, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["why", "x.mcap", f"--at={t}"])
     assert ended.value.code == 2
     assert "--at" in capsys.readouterr().err
 
 
-def test_a_run_without_states_is_told_so(tmp_path):
+def test_a_run_without_states_is_an_error(tmp_path):
     recorder = WirelessRecorder(recorded_config(tmp_path))
     recorder.publish("palm/contact", {"s1_m": math.nan}, 0.0)
     with pytest.raises(RunError, match="holds no palm/state"):

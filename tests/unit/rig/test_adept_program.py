@@ -1,4 +1,4 @@
-"""The controller's V+ program, run: against the wire's codec, the emulated controller and the link's conformance."""
+"""The controller's V+ program, run against the codec, the emulated controller and the link's conformance test."""
 
 import contextlib
 import random
@@ -37,7 +37,7 @@ UM = 1e6
 
 
 def started(text=TEXT, **functions):
-    """The program after pd.start, with the tests' limits and a tool that turns as fast as it is asked to."""
+    """The program after pd.start, with the tests' limits and a tool that turns at any requested rate."""
     module = Module(text, functions, rim=lambda *_: None)
     for name in ("pd.const", "pd.crctab", "pd.init"):
         module.call(name)
@@ -54,7 +54,7 @@ def _limits_um():
 
 
 class VPlusController:
-    """The program in the place of the emulated controller: bytes in, a turn each cycle, bytes out."""
+    """The program in place of the emulated controller: bytes in, one round each cycle, bytes out."""
 
     def __init__(self, _limits=None, start=HOME, _baud=BAUD, _heard=None, text=TEXT):
         self.module = started(text)
@@ -95,7 +95,7 @@ def _radians(angle):
 
 
 def said(module):
-    """What stands in the ring of answers, which is emptied."""
+    """The content of the ring of answers, which is emptied."""
     lines = []
     while (place := int(module.globals["pd.o.out"])) != module.globals["pd.o.in"]:
         lines.append(module.globals["$pd.o", place])
@@ -104,7 +104,7 @@ def said(module):
 
 
 def queued(module):
-    """The commands that stand in the ring, as the codec would have them."""
+    """The commands in the ring, as the codec represents them."""
     commands = []
     for place in range(int(module.globals["pd.q.in"])):
         letter, ss, x, y, t = (module.globals[f"pd.q.{what}", place] for what in ("let", "ss", "x", "y", "t"))
@@ -145,7 +145,7 @@ def test_commands_are_read_as_the_codec_writes_them():
     ["", "Z00", "H1", "Q", "Q0", "Q000", "QG0", "G-1", "S00+000001+000002+00003", "S00+000001+000002+0000034",
      "S00 000001+000002+000003", "S00+00000a+000002+000003", "S00+000001+000002+180001", "S00+000001+000002-180000"],
 )  # fmt: skip
-def test_what_is_no_command_is_dropped(body):
+def test_invalid_commands_are_dropped(body):
     module = started()
     put(module, frame(body, HOST_NEWLINE) + encode_command(parse_command("Q11")))
     assert queued(module) == [parse_command("Q11")]
@@ -167,7 +167,7 @@ def test_noise_is_dropped_as_the_line_reader_drops_it():
         assert queued(module) == wanted
 
 
-def test_lines_too_long_are_dropped():
+def test_overlong_lines_are_dropped():
     module = started()
     put(module, b"Q" * 1000 + b"\n" + encode_command(parse_command("Q11")))
     assert queued(module) == [parse_command("Q11")]
@@ -192,7 +192,7 @@ def test_answers_are_written_as_the_codec_writes_them(um):
     assert line + "\r\n" == encode_reply(Ack(0xAB, ArmState.READY, Pose(metres, -metres, 0.0))).decode()
 
 
-def test_greeting_and_refusals():
+def test_hello_and_refusals():
     module = started()
     put(module, b"".join(encode_command(parse_command(body)) for body in ("H", "S05+100000+000000+000000")))
     module.call("pd.cycle")
@@ -220,7 +220,7 @@ def test_it_answers_and_moves_as_the_emulated_controller(seed):
         mine_out = theirs_out = b""
         for _ in range(0 if quiet else random_.choice((0, 1, 1, 1, 1, 2))):
             ss = (ss + 1) % 256
-            if random_.random() > 0.1:  # else the last command once more
+            if random_.random() > 0.1:  # otherwise the last command again
                 body = _random_body(random_, ss, actual)
             line = frame(body, HOST_NEWLINE)
             mine_out += mine.feed(line, t + CYCLE_S / 2, actual)
@@ -235,7 +235,7 @@ def test_it_answers_and_moves_as_the_emulated_controller(seed):
 
 
 def _whole(pose):
-    """A place that the wire can tell exactly."""
+    """A pose that the protocol represents exactly."""
     mdeg = wrap_mdeg(round(_degrees(pose.t_rad) * 1e3))
     return Pose(round(pose.x_m * UM) / UM, round(pose.y_m * UM) / UM, _radians(mdeg / 1e3))
 
@@ -252,7 +252,7 @@ def _random_body(random_, ss, actual):
 
 
 @pytest.mark.parametrize("phase_s", [0.0003, 0.0091])
-def test_it_keeps_the_contract(phase_s):
+def test_the_program_passes_the_conformance_test(phase_s):
     far_end = FarEnd(VPlusController, phase_s)
     assert [result for result in far_end.examine() if result.outcome != "passed"] == []
     assert far_end.far_m < MAX_EXCURSION_M
@@ -273,7 +273,7 @@ def test_it_keeps_the_contract(phase_s):
         ("code = -610", "code = -611"),
     ],
 )
-def test_an_error_in_the_text_shows(right, wrong):
+def test_an_error_in_the_program_is_detected(right, wrong):
     assert right in TEXT
 
     class Wrong(VPlusController):
@@ -283,7 +283,7 @@ def test_an_error_in_the_text_shows(right, wrong):
     assert [result for result in FarEnd(Wrong).examine() if result.outcome == "failed"]
 
 
-# -- the robot's condition, and the rim ------------------------------------------------------------------------
+# -- the robot's condition, and the edge of the workspace ------------------------------------------------------
 
 
 def condition(power=-1, **states):
@@ -293,7 +293,7 @@ def condition(power=-1, **states):
     return module.globals["pd.hw"] and chr(int(module.globals["pd.hw"]))
 
 
-def test_the_robots_condition():
+def test_the_robots_condition_is_reported():
     assert condition() == 0
     assert condition(s1=8) == "U"
     assert condition(s1=4) == "M"
@@ -303,17 +303,17 @@ def test_the_robots_condition():
     assert condition(power=0, s1=2, s4=4) == "X"
 
 
-def test_an_emergency_stop_is_told_once_and_only_the_operator_ends_it():
+def test_an_emergency_stop_is_reported_once_and_only_the_operator_ends_it():
     controller = VPlusController()
     controller.feed(encode_command(parse_command("G09")), 0.0, HOME)
     controller.cycle(0.0, HOME)
-    told = []
+    replies = []
     for condition_, letter in (("X", "X"), ("X", "X"), ("P", "X"), (None, "R")):
         controller.globals["pd.hw"] = float(ord(condition_)) if condition_ else 0.0
         controller.feed(encode_command(parse_command("R33")), 0.0, HOME)
-        told.append(controller.cycle(0.0, HOME).decode())
+        replies.append(controller.cycle(0.0, HOME).decode())
         assert controller.state == letter
-    lines = [line[:8] for line in "".join(told).splitlines()]
+    lines = [line[:8] for line in "".join(replies).splitlines()]
     assert lines == ["E09-0621", *["E33-0621"] * 4]
 
 
@@ -350,7 +350,7 @@ def test_an_arm_that_leaves_its_path_is_stopped_with_a_fault(held, code):
         assert controller.state is ArmState.FAULT
 
 
-def test_the_tools_rate_is_clamped_the_short_way_round():
+def test_the_tools_rate_is_clamped_across_the_wrap():
     controller = VPlusController(start=Pose(0.1, 0.02, _radians(179.5)))
     controller.globals["pd.wmax"] = 60_000
     for ss, body in enumerate(["G00", *["S{:02X}+100000+020000-179500"] * 2]):
@@ -360,7 +360,7 @@ def test_the_tools_rate_is_clamped_the_short_way_round():
     assert controller.globals["pd.sturn"] == pytest.approx(1000 - 960, abs=0.1)
 
 
-def test_the_lines_task_reads_to_the_end_and_says_all_there_is():
+def test_the_line_task_reads_all_input_and_writes_all_answers():
     line = encode_command(parse_command("Q21"))
     arriving = [*line[:3], -526, *line[3:], -522, *b"Q\n", -504, -526]
     written = []
@@ -379,7 +379,7 @@ def test_the_lines_task_reads_to_the_end_and_says_all_there_is():
     assert (module.globals["pd.bad"], module.globals["pd.lerr"]) == (1, -504)
 
 
-def test_the_step_goes_to_the_robot_in_millimetres_and_degrees_while_it_moves():
+def test_steps_are_passed_to_the_robot_in_millimetres_and_degrees_while_it_moves():
     done = []
     module = started()
     module._rim = lambda keyword, what: done.append((keyword, what if keyword == "ALTER" else None))
@@ -413,14 +413,14 @@ def test_the_step_goes_to_the_robot_in_millimetres_and_degrees_while_it_moves():
         (";um, workspace in robot world", ";um, workspace in robot world, which is a long way of saying it"),
     ],
 )
-def test_a_typing_error_shows(right, wrong):
+def test_a_typing_error_is_detected(right, wrong):
     assert right in TEXT
     with pytest.raises(VPlusError):
         Module(TEXT.replace(right, wrong, 1))
 
 
-def test_all_that_could_not_be_tried_is_listed_with_what_to_check():
-    """Each marked line's first word stands in the README's table."""
+def test_untested_lines_are_listed_in_the_readme():
+    """The first word of each marked line is in the README's table."""
     marked = [line.strip() for line in TEXT.splitlines() if ";?" in line and not line.startswith(";")]
     listed = set(re.findall(r"^\| `([^`]+)`", README.read_text(encoding="utf-8"), re.MULTILINE))
     missing = [line for line in marked if not any(line.startswith(each) for each in listed)]
@@ -428,5 +428,5 @@ def test_all_that_could_not_be_tried_is_listed_with_what_to_check():
     assert [each for each in listed if not any(line.startswith(each) for line in marked)] == []
 
 
-def test_files_for_the_controller_are_plain():
+def test_files_for_the_controller_are_plain_text():
     assert re.fullmatch(r"[ -~\n]*", TEXT)

@@ -1,4 +1,4 @@
-"""What sticks does not move, what slips rubs by μN, and what is held stays; whatever else the body does."""
+"""Dry friction: sticking contacts do not move, slipping ones have the force μN, and bodies at rest stay at rest."""
 
 import math
 
@@ -30,7 +30,7 @@ def driven(plant, palms_at, seconds):
         yield plant
 
 
-def test_one_contact_rolls_as_far_as_its_outline_is_long_while_the_other_slips():
+def test_the_sticking_contact_rolls_along_the_outline_while_the_other_slips():
     plant = DryPlant(lump(3), FIXED, DRY)
     plant.place(ROCKING.at(0.0), stable_poses(plant.body, ROCKING.at(0.0))[0])
     stuck, gone, slipped = 0, np.zeros(2), 0.0
@@ -50,7 +50,7 @@ def test_one_contact_rolls_as_far_as_its_outline_is_long_while_the_other_slips()
     assert slipped > 5e-4
 
 
-def test_off_balance_it_is_held_where_it_was_put_and_nothing_creeps():
+def test_off_balance_the_body_stays_and_does_not_creep():
     plant = DryPlant(lump(1), FIXED, DRY)
     start = stable_poses(plant.body, AT_REST)[0] + 0.05
     plant.place(AT_REST, start)
@@ -60,7 +60,7 @@ def test_off_balance_it_is_held_where_it_was_put_and_nothing_creeps():
 
 
 @pytest.mark.parametrize(("steeper_deg", "slides"), [(-1.0, False), (1.0, True)])
-def test_a_block_leaves_a_palm_from_the_angle_of_static_friction_on(steeper_deg, slides):
+def test_a_block_slides_from_the_angle_of_static_friction_on(steeper_deg, slides):
     slope = -math.atan(DRY.static) - math.radians(steeper_deg)
     ring = [(7e-3, -7e-3), (7e-3, 7e-3), (-7e-3, 7e-3), (-7e-3, -7e-3)]
     plant = DryPlant(uniform_body("block", rounded_polygon(ring, 1e-3), 0.1), FIXED, DRY)
@@ -76,11 +76,11 @@ def test_a_block_leaves_a_palm_from_the_angle_of_static_friction_on(steeper_deg,
     for _ in driven(plant, lambda _t: palms, seconds):
         assert plant.touching[0]
     way = (plant.state.x - x) / math.cos(slope)
-    free = 0.5 * 9.81 * (math.sin(-slope) - DRY.mu * math.cos(slope)) * seconds**2  # kinetic friction from there on
+    free = 0.5 * 9.81 * (math.sin(-slope) - DRY.mu * math.cos(slope)) * seconds**2  # with kinetic friction
     assert way == pytest.approx(free if slides else 0.0, abs=1e-4)
 
 
-def test_curved_palms_say_that_they_have_no_such_friction():
+def test_curved_palms_refuse_dry_friction():
     with pytest.raises(ValueError, match="flat palms only"):
         plant_on(lump(1), FIXED, DRY, (1.0, 0.0), options=PlantOptions(friction_law="coulomb"))
 
@@ -96,7 +96,7 @@ def test_on_palms_at_rest_no_step_adds_energy():
 
 
 def test_a_cylinder_sticks_to_the_palm_it_is_rolled_along():
-    """Between palms that open it slips along one; μ so large that it could stick to both does not change that."""
+    """Between opening palms it slips along one; a μ large enough to stick to both does not change that."""
     plant = DryPlant(cylinder(0.02, 0.1), FIXED, FrictionSurface(mu=0.5, static=0.5))
     opening = Rocking(Rock(0.8, 0.0, 1.0, 0.0), Rock(1.6, 0.2, 0.5, 0.0))
     plant.place(opening.at(0.0), 0.0)

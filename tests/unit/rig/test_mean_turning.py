@@ -1,4 +1,4 @@
-"""The rate of a body that a vibration shakes: without the ripple, and without a lag."""
+"""The angular rate of a vibrated body: without the ripple, and without a lag."""
 
 import math
 
@@ -10,7 +10,7 @@ STEP_S = 1e-3
 
 
 @pytest.mark.parametrize(("one_hz", "other_hz", "worst"), [(240.0, 240.0, 3e-3), (233.5, 246.5, 1e-2)])
-def test_a_ripple_is_left_out_and_a_slow_motion_is_followed_at_once(one_hz, other_hz, worst):
+def test_a_ripple_is_removed_and_a_slow_motion_followed_without_lag(one_hz, other_hz, worst):
     turning, ripple = MeanTurning(0.5 / one_hz + 0.5 / other_hz), 0.1  # rad/s
     turning.reset(0.0, 0.0, 0.0)
     errors = []
@@ -23,7 +23,7 @@ def test_a_ripple_is_left_out_and_a_slow_motion_is_followed_at_once(one_hz, othe
     assert max(map(abs, errors)) < worst
 
 
-def test_until_two_periods_have_passed_it_is_as_it_was_put_there():
+def test_the_initial_rate_holds_for_two_periods():
     turning = MeanTurning(4e-3)
     turning.reset(1.0, 0.3, 0.7)
     for step in range(1, 8):

@@ -1,4 +1,4 @@
-"""MuJoCo as the emulated rig's plant: beside palmd's own, in closed loop with the daemon, and only where asked for."""
+"""MuJoCo as the emulated rig's plant: against palmd's own, in closed loop with the daemon, and only on request."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def rocking(t):
 
 
 def rocked(plant, psi):
-    """Rows of ψ, both contacts' distances and forces, of a body put on the palms and rocked for 0.6 s."""
+    """Rows of ψ, both contacts' distances and forces, of a body placed on the palms and rocked for 0.6 s."""
     plant.place(rocking(0.0), psi)
     rows = []
     for k in range(1200):
@@ -78,8 +78,8 @@ def rms(error):
     ("seed", "hinge", "transmission"),
     [(1, Hinge("arc"), None), (2, Hinge("fixed"), None), (3, Hinge("arc"), 0.5), (4, Hinge("fixed"), 1.0)],
 )
-def test_it_moves_the_body_as_palmds_own_plant_does(mujoco_plant, seed, hinge, transmission):
-    """On bowed pads off the hinge line, of unequal friction, and on mounts that give way."""
+def test_the_body_moves_as_in_palmds_own_plant(mujoco_plant, seed, hinge, transmission):
+    """On curved pads off the hinge line, with unequal friction, and on compliant mounts."""
     random = np.random.default_rng(seed)
     body = random_body("ellipse", random)
     one, two = PERFECT.pads
@@ -116,7 +116,7 @@ def test_without_vibration_contacts_stick_and_slip_as_in_palmds_own_plant(mujoco
     assert rms(error[100:, 3:]) < 0.02 * body.mass * 9.81
 
 
-def test_the_daemon_finds_an_ellipse_that_mujoco_moves(mujoco_plant):
+def test_the_daemon_estimates_an_ellipse_moved_by_mujoco(mujoco_plant):
     config = load_config(shipped("demo.yaml"))
     plan = load_plan(config.plan)
     rig = rig_description(config)
@@ -138,7 +138,7 @@ def test_the_daemon_finds_an_ellipse_that_mujoco_moves(mujoco_plant):
     assert 0.0 < loop.world.status()["penetration_m"] < MOST_PENETRATION_M
 
 
-def test_the_same_seed_gives_the_same_bits(mujoco_plant):
+def test_the_same_seed_gives_bit_identical_results(mujoco_plant):
     del mujoco_plant
     heard = []
     for _ in range(2):
@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_bits(mujoco_plant):
     assert heard[0] == heard[1]
 
 
-def test_a_new_object_falls_and_is_put_on_the_palms(mujoco_plant):
+def test_a_new_object_falls_and_is_placed_on_the_palms(mujoco_plant):
     del mujoco_plant
     world = World(default_config(), 3, kind="ellipse", options=IN_MUJOCO)
     world.new_object()
@@ -159,14 +159,14 @@ def test_a_new_object_falls_and_is_put_on_the_palms(mujoco_plant):
 
 
 @pytest.mark.parametrize(("curvature", "kind", "said"), [(4.0, "ellipse", "flat palms"), (0.0, "rig", "no ellipse")])
-def test_what_it_cannot_emulate_is_refused(mujoco_plant, curvature, kind, said):
+def test_unsupported_features_are_refused(mujoco_plant, curvature, kind, said):
     del mujoco_plant
     rig = default_config().rig.model_copy(update={f"palm{palm}_curvature_per_m": curvature for palm in PALMS})
     with pytest.raises(ValueError, match=said):
         World(default_config().model_copy(update={"rig": rig}), 1, kind=kind, options=IN_MUJOCO)
 
 
-def test_dry_palms_do_not_shake(mujoco_plant):
+def test_dry_palms_do_not_vibrate(mujoco_plant):
     rig = default_config().rig.model_copy(update={"vibration": VibrationConfig(relation="none")})
     world = World(default_config().model_copy(update={"rig": rig}), 1, kind="ellipse", options=IN_MUJOCO)
     assert isinstance(world.plant, mujoco_plant)
@@ -176,7 +176,7 @@ def test_dry_palms_do_not_shake(mujoco_plant):
 
 
 @pytest.mark.parametrize("ratio", [1.0, 0.8])
-def test_an_ellipse_is_known_from_its_outline(ratio):
+def test_an_ellipse_is_recognised_from_its_outline(ratio):
     body = with_slug(uniform_body_of("ellipse", ellipse(0.02, 0.02 * ratio), 0.1), np.random.default_rng(1)).turned(0.7)
     found = ellipse_of(body.support)
     assert found.half_axes == pytest.approx((0.02, 0.02 * ratio), abs=1e-9)
@@ -185,12 +185,12 @@ def test_an_ellipse_is_known_from_its_outline(ratio):
     assert math.hypot(*found.centre) > 2e-4
 
 
-def test_nothing_loads_mujoco_unless_asked():
+def test_mujoco_is_loaded_only_on_request():
     code = "import sys, palmd.rig.world as w; w.World(w.default_config(), 1); assert 'mujoco' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_where_it_is_not_installed_one_line_says_what_installs_it(monkeypatch):
+def test_a_missing_mujoco_is_a_one_line_error_that_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(CliError, match="--physics mujoco needs mujoco, which is not installed: ") as raised:
         require("--physics mujoco", "mujoco", "mujoco")

@@ -1,4 +1,4 @@
-"""The emulated slide: it keeps energy where nothing takes any, and rolls where friction has it roll."""
+"""The emulated slide: energy is conserved without friction, and friction makes it roll."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ def grasp():
 
 
 def energy(slide):
-    """Of body and carriage, the pivot at rest along the pad: written down from where their centres are."""
+    """Energy of body and carriage with the pivot at rest along the pad, from the positions of their centres."""
     grasp, psi, omega = slide.grasp, slide.psi, slide.omega
     h, slope, _ = grasp.body.support.at(-0.5 * math.pi - psi)
     m, carriage = grasp.body.mass, grasp.carriage
@@ -29,7 +29,7 @@ def energy(slide):
     return turning + moving + GRAVITY * (m * h + carriage * grasp.height(psi))
 
 
-def test_without_friction_energy_is_kept(grasp):
+def test_without_friction_energy_is_conserved(grasp):
     slide = Slide(replace(grasp, mu=0.0), 0.4)
     before, still = energy(slide), (0.0277, 0.0, 0.0)
     rates = []
@@ -41,7 +41,7 @@ def test_without_friction_energy_is_kept(grasp):
     assert energy(slide) == pytest.approx(before, abs=lost)
 
 
-def test_dragged_it_rolls_and_the_pad_bears_its_weight(grasp):
+def test_a_dragged_body_rolls_and_the_pad_carries_its_weight(grasp):
     slide, speed, forces, began = Slide(grasp, 0.0), 0.01, [], 0.0
     places = [speed * k * STEP_S for k in range(4001)]
     for k in range(4000):
@@ -50,8 +50,8 @@ def test_dragged_it_rolls_and_the_pad_bears_its_weight(grasp):
     weight = (grasp.body.mass + grasp.carriage) * GRAVITY
     assert np.mean(forces) == pytest.approx(weight, rel=0.01)
     rolled, height = began - slide.psi, grasp.height(slide.psi)
-    assert rolled == pytest.approx(speed * 1.0 / height, rel=0.5)  # but for the slip that its lever needs
+    assert rolled == pytest.approx(speed * 1.0 / height, rel=0.5)  # minus the slip that its lever needs
 
 
-def test_what_tumbles_has_no_force(grasp):
+def test_a_tumbling_body_has_no_force(grasp):
     assert math.isnan(Slide(grasp, 0.0, omega=500.0).advance((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), STEP_S))

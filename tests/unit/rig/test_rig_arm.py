@@ -1,4 +1,4 @@
-"""The emulated arm: linkage there and back, rates against differences, and the servo's lag."""
+"""The emulated arm: forward and inverse linkage, rates against differences, and the servo's lag."""
 
 import math
 
@@ -11,21 +11,21 @@ LINKAGE = Linkage((0.12, 0.01), 0.11, 0.13, (-0.3, 0.05), math.radians(30.0))
 
 @pytest.mark.parametrize("phi1_deg", [6.0, 45.0, 120.0])
 @pytest.mark.parametrize("phi2_deg", [35.0, 90.0, 155.0])
-def test_there_and_back(phi1_deg, phi2_deg):
+def test_the_inverse_linkage_inverts_the_forward_one(phi1_deg, phi2_deg):
     phi1, phi2 = math.radians(phi1_deg), math.radians(phi2_deg)
     pose = LINKAGE.pose(phi1, phi2)
     assert LINKAGE.angles(pose.x_m, pose.y_m) == pytest.approx((phi1, phi2))
     assert wrap_angle(pose.t_rad - (phi1 + phi2 - LINKAGE.yaw)) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_pose_worked_by_hand():
+def test_a_pose_computed_by_hand():
     """φ1 = 90°, φ2 = 90°: palm 1 stands below B, palm 2 points to −X from its foot."""
     linkage = Linkage((0.12, 0.0), 0.12, 0.12, (-0.3, 0.0), 0.0)
     pose = linkage.pose(math.pi / 2, math.pi / 2)
     assert (pose.x_m, pose.y_m, pose.t_rad) == pytest.approx((0.3, -0.12, math.pi))
 
 
-def test_rates_and_accelerations_against_differences():
+def test_rates_and_accelerations_agree_with_differences():
     def at(t):
         return 0.8 + 0.3 * math.sin(2.0 * t), 1.6 + 0.2 * math.cos(3.0 * t)
 
@@ -46,14 +46,14 @@ def test_rates_and_accelerations_against_differences():
         assert palms.accelerations[1] == pytest.approx(-1.8 * math.cos(3.0 * t), abs=1e-4)
 
 
-def test_out_of_reach_is_none():
+def test_an_unreachable_pose_is_none():
     far = LINKAGE.pose(0.5, math.radians(178.0))
     assert LINKAGE.angles(far.x_m, far.y_m) is None
     assert LINKAGE.angles(5.0, 5.0) is None
     assert LINKAGE.motion((5.0, 0.0, 0.0), (5.0, 0.0, 0.0)) is None
 
 
-def test_servo_trails_a_ramp_by_its_lag_and_settles():
+def test_the_servo_trails_a_ramp_by_its_lag_and_settles():
     servo = Servo(1.0, lag_s=0.02)
     servo.follow(0.0, 0.5)
     position, velocity, acceleration = servo.at(0.5)
@@ -63,7 +63,7 @@ def test_servo_trails_a_ramp_by_its_lag_and_settles():
     assert servo.at(1.0) == pytest.approx((1.25, 0.0, 0.0), abs=1e-6)
 
 
-def test_servo_is_smooth_across_pieces_and_its_rates_are_derivatives():
+def test_the_servo_is_smooth_across_pieces_and_its_rates_are_derivatives():
     servo = Servo(0.0)
     servo.follow(0.0, 1.0)
     before = servo.at(0.016)

@@ -1,4 +1,4 @@
-"""What the emulated controller does beyond the arm link's contract, which `test_armconformance` examines."""
+"""The emulated controller's behaviour beyond the arm link's contract, which `test_armconformance` tests."""
 
 import math
 
@@ -13,7 +13,7 @@ CYCLE = 0.016
 
 
 class Bench:
-    """A controller whose arm is always where the path is, and a clock that goes from cycle to cycle."""
+    """A controller whose arm is always on its path, and a clock that advances by cycles."""
 
     def __init__(self):
         self.heard = []
@@ -66,7 +66,7 @@ def bench():
     return Bench()
 
 
-def test_planned_stop_decelerates_then_is_ready(bench):
+def test_planned_stop_decelerates_and_ends_in_ready(bench):
     bench.track()
     for k in range(2, 20):
         bench.say(setpoint(k, 100.0 + 5.0 * (k - 1)))
@@ -98,7 +98,7 @@ def test_speed_and_acceleration_are_never_exceeded(bench):
         assert change <= LIMITS.a_max * (1 + 1e-9)
 
 
-def test_what_happens_to_commands_is_counted(bench):
+def test_commands_are_counted_by_result(bench):
     assert bench.say(setpoint(1, 100.0)) == ["E01-0620"]
     bench.track(ss=2)
     far = 100.0 + 2.9 * LIMITS.v_max * CYCLE * 1e3
@@ -123,11 +123,11 @@ def test_what_happens_to_commands_is_counted(bench):
         ("switch_to_manual", ArmState.MANUAL, "-0623"),
     ],
 )
-def test_what_only_an_operator_clears(bench, act, state, code):
+def test_conditions_that_only_an_operator_clears(bench, act, state, code):
     bench.track()
     getattr(bench.controller, act)(*([HOME] if act == "switch_to_manual" else []))
-    told = bench.cycle()
-    assert told == (["E01-0621"] if state is ArmState.ESTOP else [])
+    replies = bench.cycle()
+    assert replies == (["E01-0621"] if state is ArmState.ESTOP else [])
     assert bench.say(setpoint(5, 100.0)) == ["E05-0620"]
     for ss, letter in enumerate("GRP", 6):
         assert bench.say(f"{letter}{ss:02X}") == [f"E{ss:02X}{code}"]
@@ -143,6 +143,6 @@ def test_manual_jog_is_slow(bench):
     assert bench.path[-1].x_m == pytest.approx(0.1 + 10 * 0.02 * CYCLE)
 
 
-def test_every_setpoint_is_told_even_in_the_wrong_state(bench):
+def test_every_setpoint_is_logged_even_in_the_wrong_state(bench):
     bench.say(setpoint(1, 123.0))
     assert bench.heard[0][0].x_m == pytest.approx(0.123)

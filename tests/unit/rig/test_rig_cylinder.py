@@ -1,4 +1,4 @@
-"""A turned cylinder on the emulated palms: it lies at rest where it should; `palmd rig` takes no nonsense for one."""
+"""A turned cylinder on the emulated palms: its pose at rest, and errors in its description."""
 
 import math
 
@@ -14,7 +14,7 @@ from palmd.rig.world import World, default_config
 BODY = cylinder(0.02, 0.1)
 
 
-def test_it_is_a_disc_of_even_density():
+def test_it_is_a_disc_of_uniform_density():
     area, cx, cy, rho = area_moments(BODY.support)
     assert area == pytest.approx(math.pi * 0.02**2, rel=1e-4)
     assert (cx, cy) == pytest.approx((0.0, 0.0), abs=1e-9)
@@ -27,9 +27,9 @@ def test_it_rests_at_any_angle():
         assert stable_poses(BODY, PalmMotion.at_rest((0.6, phi2))) == [0.0]
 
 
-def test_it_lies_still_on_both_palms_and_comes_back():
+def test_it_rests_on_both_palms_and_returns():
     config = default_config()
-    rig = config.rig.model_copy(update={"vibration": VibrationConfig(law="averaged")})  # nothing shakes what lies still
+    rig = config.rig.model_copy(update={"vibration": VibrationConfig(law="averaged")})  # the body stays at rest
     world = World(config.model_copy(update={"rig": rig}), 1, bodies=[BODY])
     for _ in range(2):
         world.advance(world.t + 1.5)
@@ -43,13 +43,13 @@ def test_it_lies_still_on_both_palms_and_comes_back():
 
 
 @pytest.mark.parametrize("text", ["20", "20,100,3", "a,b", "nan,100", "20,-1", "0,100", "201,100", "20,inf"])
-def test_what_is_no_cylinder(text, capsys):
+def test_an_invalid_cylinder_is_rejected(text, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["rig", f"--cylinder={text}"])
     assert caught.value.code == 2
     assert "--cylinder" in capsys.readouterr().err
 
 
-def test_it_takes_the_marble_s_place():
+def test_a_cylinder_and_a_marble_exclude_each_other():
     with pytest.raises(SystemExit):
         main(["rig", "--cylinder", "20,100", "--marble", "1"])

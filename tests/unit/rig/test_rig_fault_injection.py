@@ -1,4 +1,4 @@
-"""The switchboard of mischief: orders, their times, and what is done to bytes."""
+"""Fault injection: orders, their times, and their effect on bytes."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def board(*texts, t=0.0):
     return switchboard
 
 
-def test_every_trick_can_be_ordered_by_name():
+def test_every_fault_can_be_ordered_by_name():
     for name, trick in INJECTABLE_FAULTS.items():
         assert trick.name == name
         assert len(trick.description) > 10
@@ -53,7 +53,7 @@ def test_text_form():
         "",
     ],
 )
-def test_bad_orders_are_refused(text):
+def test_invalid_orders_are_refused(text):
     with pytest.raises(InjectionError):
         parse(text, 0.0)
 
@@ -64,7 +64,7 @@ def test_orders_begin_and_end_on_time():
     assert seen == {0.5: [], 1.0: [("mute", True)], 2.9: [], 3.0: [("mute", False)], 4.0: []}
 
 
-def test_cancelling():
+def test_orders_can_be_cancelled():
     switchboard = board("mute", "estop,after=5")
     assert sorted(switchboard.names()) == ["mute@arm", "mute@pad1", "mute@pad2"]
     switchboard.cancel("mute", "pad1")
@@ -76,13 +76,13 @@ def test_cancelling():
         switchboard.cancel("nonsense", None)
 
 
-def test_bytes_are_left_alone_where_nothing_is_on():
+def test_bytes_are_unchanged_without_a_fault():
     switchboard = board("drop@pad1,strength=1")
     assert switchboard.corrupt("pad2", b"hello", rng()) == b"hello"
     assert switchboard.corrupt("pad1", b"hello", rng()) == b""
 
 
-def test_drop_and_garble_hit_about_as_many_as_asked_for():
+def test_drop_and_garble_affect_about_the_requested_share():
     data = bytes(5000)
     assert len(board("drop@arm,strength=0.3").corrupt("arm", data, rng())) == pytest.approx(3500, abs=150)
     spoilt = board("garble@arm,strength=0.3").corrupt("arm", data, rng())

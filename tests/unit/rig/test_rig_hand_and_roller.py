@@ -1,4 +1,4 @@
-"""The hand that swings the palms, and the roller that is laid on them, on the emulated rig."""
+"""The hand that swings the palms, and the roller that is placed on them, on the emulated rig."""
 
 import math
 
@@ -17,7 +17,7 @@ REACH = (0.0555, 0.0555)
 
 
 @pytest.mark.parametrize("limits", [LimitsConfig(), LimitsConfig(phi1_deg=(20, 70), phi2_deg=(75, 105))])
-def test_the_hand_swings_smoothly_all_over_the_limits(limits):
+def test_the_hand_swings_smoothly_over_the_whole_range(limits):
     home = (math.radians(45.0), math.radians(90.0))
     hand = Hand(limits, home)
     assert hand.at(0.0) == home
@@ -31,7 +31,7 @@ def test_the_hand_swings_smoothly_all_over_the_limits(limits):
     assert np.abs(np.diff(angles, axis=0)).max() < 120.0 * 0.01
 
 
-def test_by_hand_the_arm_is_in_manual_mode_and_reports_where_it_is_led():
+def test_by_hand_the_arm_is_in_manual_mode_and_reports_its_pose():
     world, reader = World(default_config(), 1, by_hand=True), LineReader(38400)
     acks, errors = [], []
     for k in range(1, 4001):
@@ -53,7 +53,7 @@ def motion(phi1_deg, phi2_deg, **rates):
 
 
 def heard(palms, seconds=20.0, kind="ball", pad=0, seed=1):
-    """Times and places (s, m) of what presses on a pad alone."""
+    """Times and positions (s, m) of contacts on one pad alone."""
     roller = Roller(kind, 9.81, REACH, np.random.default_rng(seed))
     found = []
     for k in range(int(seconds * 1e3)):
@@ -66,13 +66,13 @@ def heard(palms, seconds=20.0, kind="ball", pad=0, seed=1):
 
 @pytest.mark.parametrize(("kind", "share"), [("ball", 5 / 7), ("cylinder", 2 / 3)])
 @pytest.mark.parametrize(("pad", "palms", "fall_deg"), [(0, (12.0, 110.0), 12.0), (1, (55.0, 110.0), 15.0)])
-def test_it_rolls_down_the_gentler_palm_as_fast_as_it_must(kind, share, pad, palms, fall_deg):
+def test_the_roller_rolls_down_the_flatter_palm_with_its_physical_acceleration(kind, share, pad, palms, fall_deg):
     t, s = heard(motion(*palms), kind=kind, pad=pad).T
     assert len(heard(motion(*palms), pad=1 - pad)) == 0
     alpha = math.radians(fall_deg)
     expected = -share * 9.81 * (math.sin(alpha) - RESISTANCE * math.cos(alpha))
     ends = np.flatnonzero(np.diff(t) > 0.1)
-    assert 6 <= len(ends) <= 14  # every second or two
+    assert 6 <= len(ends) <= 14  # one every second or two
     for first, last in zip(ends[:-1] + 1, ends[1:], strict=True):
         down = slice(last - 150, last)
         assert 2.0 * np.polyfit(t[down], s[down], 2)[0] == pytest.approx(expected, rel=1e-3)
@@ -80,7 +80,7 @@ def test_it_rolls_down_the_gentler_palm_as_fast_as_it_must(kind, share, pad, pal
         assert s[last] == pytest.approx(0.010 / math.tan(math.radians(palms[1]) / 2), abs=2e-3)
 
 
-def test_it_is_taken_away_while_the_palms_move_and_not_laid_on_steep_ones():
+def test_the_roller_is_removed_while_the_palms_move_and_not_placed_on_steep_ones():
     moving = heard(lambda t: motion(12.0, 110.0, rates=(0.1 if 5.0 < t < 10.0 else 0.0, 0.0)))
     assert len(moving)
     assert not ((moving[:, 0] > 5.0) & (moving[:, 0] < 10.9)).any()
@@ -88,7 +88,7 @@ def test_it_is_taken_away_while_the_palms_move_and_not_laid_on_steep_ones():
     assert len(heard(motion(12.0, 110.0), seed=2)) != len(heard(motion(12.0, 110.0)))
 
 
-def test_the_pads_of_the_world_feel_it():
+def test_the_worlds_pads_measure_the_roller():
     config = default_config().model_copy(update={"limits": LimitsConfig(phi1_deg=(6, 12))})
     world = World(config, 3, roller="ball")
     decoder, reports = VersaPadDecoder(9600), 0

@@ -1,4 +1,4 @@
-"""What the emulated rig is off by: its geometry by another formula, its signs by what is reconstructed, the draws."""
+"""Imperfections of the emulated rig: geometry by another formula, signs by reconstruction, and random draws."""
 
 import json
 import math
@@ -33,7 +33,7 @@ def of_pad(number, **off):
 
 
 def nearest(plant, palms, pads, number):
-    """Of a palm's surface to the body's centre: the distance (m), and where that is (m), by trying all of it."""
+    """From a palm's surface to the body's centre: the distance (m) and its place (m), by exhaustive search."""
     frame = palm_frame(plant.hinge, palms)
     ox, oy = frame.ox, frame.oy
     angle = palms.angles[0] if number == 1 else sum(palms.angles)
@@ -55,7 +55,7 @@ def nearest(plant, palms, pads, number):
     ],
     ids=["standoff", "both bowed", "both of palm 2"],
 )
-def test_a_cylinder_stays_on_surfaces_that_are_bowed_and_off_the_hinge_line(pads):
+def test_a_cylinder_stays_on_curved_surfaces_off_the_hinge_line(pads):
     rocking = Rocking(Rock(0.7, 0.4, 0.7, 0.3), Rock(1.6, 0.25, 0.8, 1.0))
     plant = Plant(cylinder(RADIUS, 0.1), Hinge(), FrictionSurface(mu=0.2), imperfections=Imperfections(pads))
     plant.place(rocking.at(0.0), 0.0)
@@ -70,7 +70,7 @@ def test_a_cylinder_stays_on_surfaces_that_are_bowed_and_off_the_hinge_line(pads
         plant.advance(rocking.at((k + 0.5) * STEP), rocking.at((k + 1) * STEP), STEP)
 
 
-def test_contacts_go_as_fast_as_they_are_told_to():
+def test_contacts_move_at_the_prescribed_rate():
     rocking = Rocking(Rock(0.7, 0.4, 0.7, 0.3), Rock(1.6, 0.25, 0.8, 1.0))
     plant = Plant(random_body("rig", np.random.default_rng(2)), Hinge(), FrictionSurface(mu=0.2))
     plant.place(rocking.at(0.0), stable_poses(plant.body, rocking.at(0.0))[0])
@@ -83,7 +83,7 @@ def test_contacts_go_as_fast_as_they_are_told_to():
     assert np.abs(rates).max() > 0.02
 
 
-def test_what_lies_on_a_table_that_shakes_presses_as_much_more_and_less():
+def test_contact_forces_follow_a_vibrating_table():
     plant = Plant(cylinder(RADIUS, 0.1), Hinge(), FrictionSurface(mu=0.2), imperfections=Imperfections(vibration=0.3))
     palms = PalmMotion.at_rest((math.pi / 4, math.pi / 2))
     plant.place(palms, 0.0)
@@ -91,16 +91,16 @@ def test_what_lies_on_a_table_that_shakes_presses_as_much_more_and_less():
     for _ in range(6000):
         plant.advance(palms, palms, STEP)
         presses.append([contact.force for contact in plant.contacts()])
-    felt = np.sum(presses, axis=1) / math.sqrt(2.0) / 0.1  # m/s², both palms at 45°
-    assert felt.mean() == pytest.approx(9.81, abs=0.02)
-    assert felt.std() == pytest.approx(0.3, rel=0.05)
+    measured = np.sum(presses, axis=1) / math.sqrt(2.0) / 0.1  # m/s², both palms at 45°
+    assert measured.mean() == pytest.approx(9.81, abs=0.02)
+    assert measured.std() == pytest.approx(0.3, rel=0.05)
 
 
-# ----------------------------------------------------------------------------------- what an estimator makes of it
+# ------------------------------------------------------------------------------------------- reconstruction
 
 ZERO, LAG, FORCE, SAGITTA, SCALE = 3e-4, 6e-3, 1.5e-4, 1.5e-4, 0.02
 TURNED, TIPPED, ASYMMETRY = math.radians(0.4), math.radians(0.5), 0.33
-TOLD = {
+OBSERVABLE = {
     "pads, friction and gravity": (
         Imperfections(
             (PadImperfection(zero=ZERO, force=-FORCE, lag=-LAG), PadImperfection(zero=ZERO, force=FORCE, lag=LAG)),
@@ -117,32 +117,32 @@ TOLD = {
 
 
 def answer_to(off, **known):
-    """What is made of a run on a rig that is off by this, where all else is known."""
+    """The reconstruction of a run on a rig with these errors and otherwise exactly known."""
     run = simulated("friction", 44, 12.0, imperfections=off)
     return run, reconstruct(run.events, run.rig.known_to(PERFECTLY_KNOWN | known))
 
 
-def is_told(answer, name, true):
-    """Within its error bars, which are too small for the other sign."""
-    told, sd = (float(each[RIG_NAMES.index(name)]) for each in (answer.rig, answer.rig_sd))
-    return abs(told - true) < 3.0 * sd and abs(true) > 2.5 * sd
+def is_estimated(answer, name, true):
+    """Within its error bars, which exclude the opposite sign."""
+    estimated_value, sd = (float(each[RIG_NAMES.index(name)]) for each in (answer.rig, answer.rig_sd))
+    return abs(estimated_value - true) < 3.0 * sd and abs(true) > 2.5 * sd
 
 
-@pytest.mark.parametrize(("off", "known"), TOLD.values(), ids=TOLD)
-def test_what_a_rig_is_off_by_is_what_is_told(off, known):
+@pytest.mark.parametrize(("off", "known"), OBSERVABLE.values(), ids=OBSERVABLE)
+def test_an_observable_imperfection_is_estimated(off, known):
     _, answer = answer_to(off, **known)
     assert answer.converged, answer.reason
-    assert [name for name, true in off.constants().items() if true and not is_told(answer, name, true)] == []
+    assert [name for name, true in off.constants().items() if true and not is_estimated(answer, name, true)] == []
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_the_scale_of_one_pad_is_told_where_the_others_is_known(number):
+def test_the_scale_of_one_pad_is_estimated_if_the_others_is_known(number):
     off = of_pad(number, scale=-SCALE)
     run = simulated("friction", 44, 12.0, imperfections=off)
     pads = [replace(pad, scale_sd=SCALE * (palm == number)) for palm, pad in zip((1, 2), run.rig.pads, strict=True)]
     answer = reconstruct(run.events, replace(run.rig, pads=tuple(pads)))
     assert answer.converged, answer.reason
-    assert is_told(answer, f"pad{number}_scale", -SCALE)
+    assert is_estimated(answer, f"pad{number}_scale", -SCALE)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_the_scale_of_one_pad_is_told_where_the_others_is_known(number):
     ],
     ids=["standoff", "magnification"],
 )
-def test_what_no_touch_tells_the_band_covers(off, known):
+def test_the_sd_covers_an_unobservable_imperfection(off, known):
     run, answer = answer_to(off, **known)
     assert answer.converged, answer.reason
     error = score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h
@@ -161,14 +161,14 @@ def test_what_no_touch_tells_the_band_covers(off, known):
     assert 2e-5 < error < 2.0 * band
 
 
-def test_names_are_the_results():
+def test_constants_have_the_names_of_the_results():
     assert set(PERFECT.constants()) == set(RIG_NAMES)
 
 
 # --------------------------------------------------------------------------------------------------- the draws
 
 
-def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
+def test_draws_have_the_described_sd_and_are_the_same_for_the_same_seed():
     draws = [drawn(CALIBRATED, seed) for seed in range(400)]
     assert draws[3] == drawn(CALIBRATED, 3)
     for each in fields(PadImperfection):
@@ -188,20 +188,20 @@ def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
     assert drawn(RigDescription(), 3) == PERFECT
 
 
-def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
+def test_pads_have_smooth_placement_errors_of_the_described_sd_and_length():
     sd, length, pad = 7e-5, 3e-3, RigDescription().pads[0].length
     rig = RigDescription().with_pads(map_sd=sd, map_length=length)
     places = pad / 2 + np.array([0.0, length, 6.0 * length])
     found = [each.smooth_error for seed in range(400) for each in drawn(rig, seed).pads]
     values = np.array([[place.at(float(s)) for s in places] for place in found])
-    assert np.std(values[:, 0]) == pytest.approx(sd, rel=0.15)  # less what a line takes of it
+    assert np.std(values[:, 0]) == pytest.approx(sd, rel=0.15)  # minus the part that a line takes
     alike = np.corrcoef(values.T)[0]
     assert alike[1] == pytest.approx(math.exp(-0.5), abs=0.1)
-    assert abs(alike[2]) < 0.3  # what a line takes of it makes places far apart a little opposite
+    assert abs(alike[2]) < 0.3  # removing a line makes distant positions slightly anticorrelated
     everywhere = np.linspace(0.0, pad, 200)
     for place in found[:5]:
         line = np.polyfit(everywhere, [place.at(float(s)) for s in everywhere], 1)
-        assert np.abs(np.polyval(line, everywhere)).max() < 0.05 * sd  # those are the pad's zero and scale
+        assert np.abs(np.polyval(line, everywhere)).max() < 0.05 * sd  # these are the pad's zero and scale
     off = PadImperfection(zero=1e-4, smooth_error=found[0])
     assert off.reading_error_m(0.02, 0.0) == pytest.approx(1e-4 + found[0].at(0.02))
     assert drawn(rig, 3).constants() == drawn(rig.with_pads(map_sd=0.0), 3).constants()
@@ -210,11 +210,11 @@ def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
 # ------------------------------------------------------------------------------------------ logs, configurations
 
 
-# told under `vibration`, no constants to be off by
+# under `vibration`, without constants
 OF_VIBRATION = {"friction_arm", "vibration_kappa", "vibration_transmission", "vibration_period"}
 
 
-def test_a_log_tells_how_well_its_rig_is_known_and_its_truth_what_it_is_off_by(tmp_path):
+def test_a_log_has_the_rigs_sd_and_its_truth_the_errors(tmp_path):
     out = tmp_path / "run.jsonl"
     assert main(["--seed", "3", "--seconds", "0.5", "--imperfections", "calibrated", "-o", str(out)]) == 0
     header = json.loads(out.read_text().splitlines()[0])
@@ -226,7 +226,7 @@ def test_a_log_tells_how_well_its_rig_is_known_and_its_truth_what_it_is_off_by(t
     assert set(header["rig"]["calibration_sd"].values()) == {0.0}
 
 
-def test_the_same_seed_has_the_same_object_whatever_the_rig_is_off_by():
+def test_the_same_seed_gives_the_same_object_whatever_the_imperfections():
     perfect, other = (
         simulate_log("rig", 4, 0.5, calibration_sd=known)[1] for known in (PERFECTLY_KNOWN, AS_CALIBRATED)
     )
@@ -239,7 +239,7 @@ def asking(imperfections):
     return config.model_copy(update={"rig": config.rig.model_copy(update={"imperfections": imperfections})})
 
 
-def test_a_configuration_asks_in_units_of_the_workshop():
+def test_a_configuration_uses_units_of_the_workshop():
     block = {"palm2": {"zero_mm": 0.3, "lag_ms": -2, "force_mm_per_n": 0.1}, "phi1_deg": 1, "gravity_deg": -0.5}
     off = configured(asking(ImperfectionsConfig.model_validate(block)), 1)
     assert off == Imperfections(
@@ -247,10 +247,10 @@ def test_a_configuration_asks_in_units_of_the_workshop():
         (math.radians(1.0), 0.0),
         math.radians(-0.5),
     )
-    told = off.true_palms(PalmMotion.at_rest((0.5, 1.0))).angles
-    assert told == pytest.approx((0.5 + math.radians(0.5), 1.0))
+    actual = off.true_palms(PalmMotion.at_rest((0.5, 1.0))).angles
+    assert actual == pytest.approx((0.5 + math.radians(0.5), 1.0))
     assert configured(asking("none"), 1) == PERFECT
-    assert configured(asking("calibrated"), 1) == PERFECT  # this one says that all is known
+    assert configured(asking("calibrated"), 1) == PERFECT  # this rig is declared exactly known
     known = asking("calibrated")
     loose = known.model_copy(update={"pads": type(known.pads)(palm1={"port": "a"}, palm2={"port": "b"})})
     assert configured(loose, 1) == drawn(rig_description(loose), 1)
@@ -262,8 +262,8 @@ def test_a_configuration_asks_in_units_of_the_workshop():
     assert second.smooth_error == drawn(rig_description(straight), 1).pads[1].smooth_error != NO_ERROR
 
 
-def test_the_play_of_servos_is_not_drawn_as_well():
-    """The emulated servos have it already; an observer's band of the angles holds both."""
+def test_the_play_of_servos_is_not_drawn_in_addition():
+    """The emulated servos have it already; an observer's sd of the angles includes both."""
     config = Config.model_validate(
         {
             "rig": {"hinge": "fixed", "imperfections": "calibrated"},

@@ -1,4 +1,4 @@
-"""The emulated lines: pacing, and pseudo-terminals or sockets with a plug, and nobody at the other end."""
+"""The emulated lines: pacing, and pseudo-terminals or sockets with a plug, with or without a host."""
 
 import os
 import select
@@ -13,7 +13,7 @@ from palmd.devices.port import Port, PortWaiter
 from palmd.rig.line import LineWaiter, PtyLine, SocketLine, Wire
 
 
-def test_wire_paces_bytes_and_keeps_their_order():
+def test_the_line_paces_bytes_and_keeps_their_order():
     wire = Wire(9600)
     byte = 10 / 9600
     wire.send(b"abc", 1.0)
@@ -50,7 +50,7 @@ def look(line):
     return line.read(dict(poll.poll(0)).get(line.fileno, 0))
 
 
-def test_bytes_go_both_ways(line):
+def test_bytes_are_passed_both_ways(line):
     host = open_host(line)
     look(line)
     line.write(bytes(range(256)))
@@ -83,7 +83,7 @@ def test_opening_with_a_flush_is_noticed(line):
     os.close(host)
 
 
-def test_another_baud_makes_noise_of_it(line):
+def test_another_baud_rate_turns_bytes_into_noise(line):
     host = open_host(line, termios.B19200)
     look(line)
     line.write(b"x" * 50)
@@ -111,8 +111,8 @@ def test_unplugging_hangs_up_and_replugging_serves_again(line):
     os.close(again)
 
 
-def test_waiting_tells_what_comes_once_and_who_is_not_there_all_the_time(line):
-    """Asked about what has come already, the kernel would make the rig wait for a thread that others keep waiting."""
+def test_waiting_reports_input_once_and_a_missing_host_always(line):
+    """If asked about input already reported, the kernel would delay the rig behind other threads."""
     waiter = LineWaiter()
     waiter.watch(line.fileno)
     for _ in range(2):
@@ -130,7 +130,7 @@ def test_waiting_tells_what_comes_once_and_who_is_not_there_all_the_time(line):
 
 
 def heard_by(waiter, line, patience_s=10.0):
-    """What the line hears next; the kernel hands it over in its own time."""
+    """The line's next input; the kernel delivers it in its own time."""
     t_end = time.monotonic() + patience_s
     while time.monotonic() < t_end:
         heard, _ = line.read(waiter.ready().get(line.fileno, 0))
@@ -154,7 +154,7 @@ def host(socket_line):
     port.close()
 
 
-def test_over_a_socket_bytes_go_both_ways_at_once(socket_line, host):
+def test_over_a_socket_bytes_are_passed_both_ways_at_once(socket_line, host):
     assert socket_line.write(b"lost") == b""
     assert host.poll_open(0.0), host.error
     assert look(socket_line) == (b"", True)
@@ -169,7 +169,7 @@ def test_over_a_socket_bytes_go_both_ways_at_once(socket_line, host):
     assert (socket_line.bytes_sent, socket_line.bytes_lost, socket_line.bytes_heard) == (256, 4, 256)
 
 
-def test_a_socket_that_is_unplugged_hangs_up_and_serves_again(socket_line, host):
+def test_an_unplugged_socket_hangs_up_and_serves_again(socket_line, host):
     assert host.poll_open(0.0)
     look(socket_line)
     socket_line.unplug()
@@ -200,7 +200,7 @@ def test_the_next_host_of_a_socket_waits_until_the_first_has_gone(socket_line, h
     second.close()
 
 
-def test_waiting_tells_of_a_socket_what_has_come_until_it_is_read(socket_line, host):
+def test_waiting_reports_a_sockets_input_until_it_is_read(socket_line, host):
     waiter = LineWaiter()
     waiter.watch(socket_line.fileno, edge_triggered=False)
     assert waiter.ready() == {}
@@ -226,7 +226,7 @@ def test_waiting_tells_of_a_socket_what_has_come_until_it_is_read(socket_line, h
     second.close()
 
 
-def test_a_socket_that_nobody_serves_says_so(socket_line, host):
+def test_a_socket_without_a_server_is_an_error(socket_line, host):
     left_behind = socket_line.path.with_name("left")
     socket_line.path.rename(left_behind)
     socket_line.unplug()

@@ -1,4 +1,4 @@
-"""The marble on the emulated rig: over its pad only, instead of the object, smooth and not too fast."""
+"""The marble on the emulated rig: over its own pad, instead of the object, smooth and slow."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_it_covers_most_of_the_pad_and_presses_up_to_two_newtons(marble):
     assert -0.5 * WIDTH_M < across.min() < -0.4 * WIDTH_M < 0.4 * WIDTH_M < across.max() < 0.5 * WIDTH_M
     assert 0.0 < force.min() < 0.03
     assert 1.8 < force.max() <= 2.0
-    assert 0.6 * 6000 < len(presses) < 0.95 * 6000  # lifted now and then
+    assert 0.6 * 6000 < len(presses) < 0.95 * 6000  # with occasional lift-offs
 
 
 def test_it_is_never_faster_than_a_hand(marble):
@@ -37,7 +37,7 @@ def test_it_is_never_faster_than_a_hand(marble):
 
 
 def heard(world, seconds):
-    """How many reports each pad has sent, touching."""
+    """The number of touching reports that each pad has sent."""
     decoders = {name: VersaPadDecoder(9600) for name in ("pad1", "pad2")}
     reports = dict.fromkeys(decoders, 0)
     for k in range(1, round(seconds * 1e3) + 1):
@@ -50,7 +50,7 @@ def heard(world, seconds):
 @pytest.mark.parametrize(("marbles", "silent"), [(("pad1",), "pad2"), (("pad2",), "pad1"), (("pad1", "pad2"), None)])
 def test_it_rolls_over_its_own_pad_instead_of_the_object(marbles, silent):
     world = World(default_config(), 1, marbles=marbles)
-    world.fault_injector.add(order("swap", 0.5))  # a hand that is busy with the marble puts nothing on the palms
+    world.fault_injector.add(order("swap", 0.5))  # a hand busy with the marble places no object on the palms
     reports = heard(world, 3.0)
     assert all(reports[name] > 100 for name in marbles)
     assert silent is None or reports[silent] == 0

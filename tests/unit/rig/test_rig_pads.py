@@ -1,4 +1,4 @@
-"""The emulated touchpad: counts worked by hand, timing bands, dead band, lift-off, merged contacts."""
+"""The emulated touchpad: counts computed by hand, timing bands, dead band, lift-off, merged contacts."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def packets(data):
     return VersaPadDecoder(9600).feed(data, 1.0)
 
 
-def test_counts_and_pressure_worked_by_hand():
+def test_counts_and_pressure_computed_by_hand():
     packet = packets(pad().report(0.1, [Press(0.0407, 1.0)]))[0]
     assert packet.x_counts == 100  # (40.7 − 28.0) mm at 200 counts an inch
     assert packet.pressure == 50
@@ -33,7 +33,7 @@ def test_axis_and_sign():
     assert abs(packet.x_counts) <= 3
 
 
-def test_pressure_saturates_and_takes_the_configured_place():
+def test_pressure_saturates_and_has_the_configured_format():
     assert packets(pad().report(0.1, [Press(0.03, 9.0)]))[0].pressure == 127
     config = VersaPadConfig(port="p", pressure=PressureConfig(mask=0x3F, invert=True))
     assert pad(config).report(0.1, [Press(0.03, 0.2)])[5] == 0x3F - 10
@@ -55,7 +55,7 @@ def test_dead_band_and_lift_off():
         assert emulator.report(0.13, []) == b""
 
 
-def test_off_the_pad_is_no_contact():
+def test_a_position_off_the_pad_is_no_contact():
     assert pad().report(0.1, [Press(0.056, 1.0)]) == b""
     assert pad().report(0.1, [Press(-0.001, 1.0)]) == b""
 
@@ -66,7 +66,7 @@ def test_reading_error_is_added():
 
 
 @pytest.mark.parametrize("baud", [9600, 38400, 4800])
-def test_reports_come_in_three_bands(baud):
+def test_reports_come_in_three_timing_bands(baud):
     emulator = pad(VersaPadConfig(port="p", baud=baud))
     times = []
     for _ in range(4000):

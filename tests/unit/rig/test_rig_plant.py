@@ -66,7 +66,7 @@ def test_energy_is_conserved_without_friction():
 
 
 @pytest.mark.parametrize("surface", [FrictionSurface(mu=0.1), FrictionSurface(damping=5e-4)])
-def test_friction_and_damping_only_take_energy(surface):
+def test_friction_and_damping_only_dissipate_energy(surface):
     plant = Plant(body(1), FIXED, surface)
     plant.place(AT_REST, stable_poses(plant.body, AT_REST)[0] + 0.5)
     energies = []
@@ -77,7 +77,7 @@ def test_friction_and_damping_only_take_energy(surface):
     assert energies[-1] < energies[0] - 1e-4
 
 
-def test_a_disc_pushed_by_no_torque_does_not_turn():
+def test_a_disc_without_torque_does_not_turn():
     plant = Plant(disc(), Hinge("arc", 0.12, (0.12, 0.0)), FrictionSurface())
     rocking = Rocking(Rock(0.7, 0.4, 0.5, 0.3), Rock(1.6, 0.2, 0.4, 1.0))
     plant.place(rocking.at(0.0), 0.0, omega0=1.5)
@@ -88,7 +88,7 @@ def test_a_disc_pushed_by_no_torque_does_not_turn():
 
 
 @pytest.mark.parametrize("run_data", REFERENCE, ids=lambda run_data: run_data["name"])
-def test_agrees_with_an_independent_simulator(run_data):
+def test_the_plant_agrees_with_an_independent_simulator(run_data):
     support = Support.from_coefficients(tuple(complex(*c) for c in run_data["h_harmonics_m"]))
     hinge = Hinge(run_data["hinge"]["mode"], run_data["hinge"].get("palm1_length_m", 0.12))
     surface = FrictionSurface(run_data["mu"], run_data["dither_m_s"], run_data["damping_m2_s"])
@@ -109,7 +109,7 @@ def test_agrees_with_an_independent_simulator(run_data):
     np.testing.assert_allclose(f2, run_data["f2_n"], atol=1e-5)
 
 
-def test_palms_that_drop_away_let_go_and_catch_again():
+def test_palms_that_drop_away_lose_and_regain_contact():
     """The palms turn down faster than the body can fall; then they stop and it lands on them."""
     plant = Plant(disc(), FIXED, FrictionSurface(mu=0.1))
     phi1, rate, dt = 0.7, 0.0, STEP
@@ -129,7 +129,7 @@ def test_palms_that_drop_away_let_go_and_catch_again():
     assert contact2.force == pytest.approx(0.1 * G * math.sin(phi1) / math.sin(1.7), rel=0.05)
 
 
-def test_a_landing_loses_energy_and_does_not_bounce():
+def test_a_landing_dissipates_energy_and_does_not_bounce():
     plant = Plant(disc(), FIXED, FrictionSurface())
     plant.place(AT_REST, 0.0)
     plant.state.vx, plant.state.vy = 0.0, 0.5  # thrown up
@@ -146,7 +146,7 @@ def test_a_landing_loses_energy_and_does_not_bounce():
 
 def test_a_body_beyond_the_pad_falls_off_and_can_be_put_back():
     plant = Plant(disc(), FIXED, FrictionSurface(), reach=(0.0555, 0.0555))
-    narrow = PalmMotion.at_rest((0.9, 0.6))  # wedged far out: s = r / tan(phi2 / 2) = 65 mm
+    narrow = PalmMotion.at_rest((0.9, 0.6))  # far out: s = r / tan(phi2 / 2) = 65 mm
     plant.place(narrow, 0.0)
     assert plant.fallen
     assert plant.touching == (False, False)
@@ -185,8 +185,8 @@ def test_a_pinned_hinge_is_the_fixed_rig():
     assert abs(ends[2] - ends[0]) > 1e-4
 
 
-def test_hard_friction_sticks_where_dither_creeps():
-    """Beside its stable pose a body stays if friction is hard, and creeps home under dither."""
+def test_dry_friction_sticks_where_vibrated_friction_creeps():
+    """Beside its stable pose a body stays at rest under dry friction, and creeps to the pose under vibration."""
     moved = []
     for law in ("coulomb", "averaged"):
         plant = plant_on(body(1), FIXED, FrictionSurface(0.25, 0.02), options=PlantOptions(friction_law=law))

@@ -12,7 +12,7 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def test_circle_off_the_origin_has_the_moments_of_a_disc():
+def test_a_circle_off_the_origin_has_the_moments_of_a_disc():
     r, x, y = 0.02, 0.003, -0.002
     area, cx, cy, rho = area_moments(Support.from_coefficients((complex(r), 0j)).moved(x, y))
     assert area == pytest.approx(math.pi * r**2)
@@ -33,7 +33,7 @@ def test_ellipses_have_their_textbook_moments():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_table_agrees_with_the_series(kind):
+def test_the_table_agrees_with_the_series(kind):
     support = random_body(kind, rng(3)).support
     theta = rng(4).uniform(-20.0, 20.0, 200)
     for order, tolerance in enumerate((1e-12, 1e-9, 1e-6)):
@@ -42,7 +42,7 @@ def test_table_agrees_with_the_series(kind):
         np.testing.assert_allclose(read, exact, rtol=0.0, atol=tolerance)
 
 
-def test_turned_and_moved_outlines():
+def test_rotated_and_shifted_outlines():
     support = random_body("rig", rng(5)).support
     theta = np.linspace(0.0, 6.0, 50)
     np.testing.assert_allclose(support.turned(0.7).sample(theta), support.sample(theta - 0.7), atol=1e-15)
@@ -51,7 +51,7 @@ def test_turned_and_moved_outlines():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_random_bodies_are_convex_and_like_the_real_ones(kind):
+def test_random_bodies_are_convex_and_resemble_the_real_ones(kind):
     for seed in range(15):
         body = random_body(kind, rng(seed))
         mean = body.support.coefficients[0].real
@@ -71,6 +71,6 @@ def test_the_same_seed_gives_the_same_body():
     assert random_body("odd", rng(8)) != random_body("odd", rng(9))
 
 
-def test_all_sorts_of_odd_bodies_occur():
+def test_random_bodies_include_all_special_cases():
     shapes = {random_body("odd", rng(seed)).shape for seed in range(30)}
     assert shapes == {"ellipse", "strongly curved", "off-centre mass"}

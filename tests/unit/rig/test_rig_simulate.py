@@ -1,4 +1,4 @@
-"""Simulated event logs: form, noise, sampling, truth, and departures from the model."""
+"""Simulated event logs: format, noise, sampling, truth, and departures from the model."""
 
 import json
 import math
@@ -98,7 +98,7 @@ def test_the_same_seed_gives_the_same_run():
     assert simulate_log("rig", 4, 1.0)[0] != simulate_log("rig", 5, 1.0)[0]
 
 
-def test_departures_show_in_the_log():
+def test_model_departures_are_visible_in_the_log():
     biased_pad = Imperfections((PadImperfection(), PadImperfection(zero=1e-3)))
     biased, truth = simulate_log("rig", 4, 3.0, imperfections=biased_pad)
     error = column(biased, 2, "s_m") - np.interp(column(biased, 2, "t"), truth["t"], truth["s2_m"])
@@ -129,7 +129,7 @@ def test_command_line_writes_log_and_truth(tmp_path):
     assert (lines, truth) == simulate_log("odd", 3, 0.5)
 
 
-def test_a_palm_that_rests_eases_out_and_back_whatever_rests_are_over_or_to_come():
+def test_a_palm_eases_out_and_back_around_every_rest():
     rock = Rock(0.7, 0.5, 0.3, 0.1, ((2.0, 4.0), (7.0, 9.0)))
     t, step = np.arange(1.5, 11.0, 0.01), 1e-5
     angle, rate, acceleration = np.array([rock.at(each) for each in t]).T

@@ -1,4 +1,4 @@
-"""The rig's own counts: nothing said goes astray, and what mischief does to it is told apart."""
+"""The rig's own counts: every byte is accounted for, and effects of fault injection are counted separately."""
 
 import math
 
@@ -8,7 +8,7 @@ from palmd.rig.tally import DeviceTally, HostLines
 from palmd.rig.world import World, default_config
 
 
-def test_what_was_said_altered_and_withheld_is_told_apart():
+def test_sent_altered_and_withheld_messages_are_counted_separately():
     said = DeviceTally()
     said.take(b"abcdef", b"abcdef")
     said.take(b"abcdef", b"abcde")
@@ -17,7 +17,7 @@ def test_what_was_said_altered_and_withheld_is_told_apart():
     assert said == DeviceTally(messages=3, altered=1, withheld=1, bytes_said=21, bytes_on_line=14)
 
 
-def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them():
+def test_set_points_are_counted_before_fault_injection_and_altered_ones_separately():
     lines = HostLines(38400)
     one = encode_command(SetPoint(1, Pose(0.1, 0.2, 0.3)))
     lines.take(encode_command(Start(0)), encode_command(Start(0)), 0.0)
@@ -40,14 +40,14 @@ def test_every_byte_on_a_line_is_sent_or_still_waiting():
             out[port] += data
         if step % 100 == 0:
             world.receive("arm", encode_command(Start(step % 256)))
-    told = world.status()
+    status = world.status()
     for port in PORTS:
-        assert told[f"{port}_bytes_on_line"] == len(out[port]) + told[f"{port}_bytes_waiting"], port
-    assert told["pad1_messages"] == told["pad1_packets"] > 100
-    assert told["pad1_altered"] > 50
-    assert told["pad1_withheld"] == told["pad2_altered"] == 0
-    assert told["pad2_withheld"] > 50
-    assert told["arm_messages"] == lines_in(out["arm"])
+        assert status[f"{port}_bytes_on_line"] == len(out[port]) + status[f"{port}_bytes_waiting"], port
+    assert status["pad1_messages"] == status["pad1_packets"] > 100
+    assert status["pad1_altered"] > 50
+    assert status["pad1_withheld"] == status["pad2_altered"] == 0
+    assert status["pad2_withheld"] > 50
+    assert status["arm_messages"] == lines_in(out["arm"])
 
 
 def lines_in(data):

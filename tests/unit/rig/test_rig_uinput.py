@@ -1,4 +1,4 @@
-"""An emulated pad as an input device of the kernel's: what the kernel is asked, by its own header; and without it."""
+"""An emulated pad as an input device of the kernel: ioctls checked against the kernel's header; and missing uinput."""
 
 import shutil
 import struct
@@ -27,17 +27,17 @@ int main(void) {
 def test_numbers_and_sizes_are_those_of_the_kernels_header(tmp_path):
     (tmp_path / "asked.c").write_text(ASKED)
     subprocess.run(["cc", "-o", tmp_path / "asked", tmp_path / "asked.c"], check=True)
-    told = subprocess.run([tmp_path / "asked"], check=True, capture_output=True, text=True).stdout
+    output = subprocess.run([tmp_path / "asked"], check=True, capture_output=True, text=True).stdout
     ours = (
         uinput._CREATE, uinput._DESTROY, uinput._SETUP, uinput._ABS_SETUP, uinput._EVENT_BIT, uinput._KEY_BIT,
         uinput._AXIS_BIT, uinput._SYSNAME, uinput._SETUP_FORM.size, uinput._ABS_FORM.size,
     )  # fmt: skip
-    assert tuple(map(int, told.split())) == ours
+    assert tuple(map(int, output.split())) == ours
 
 
 @pytest.fixture
 def kernel(tmp_path, monkeypatch):
-    """Stands in for the kernel: a file that takes records, and what it was asked."""
+    """A stand-in for the kernel: a file that takes records, and the ioctls that it got."""
     asked = []
 
     def ioctl(_fd, number, argument=0):
@@ -53,7 +53,7 @@ def kernel(tmp_path, monkeypatch):
     return asked
 
 
-def test_a_device_comes_takes_records_and_goes(kernel, tmp_path):
+def test_a_device_is_created_takes_records_and_is_removed(kernel, tmp_path):
     line = UinputLine(tmp_path / "pad1")
     assert uinput.available()
     line.plug()

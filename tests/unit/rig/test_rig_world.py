@@ -1,4 +1,4 @@
-"""The whole emulated rig without wires: closed loop with the host's own link, determinism, mischief."""
+"""The whole emulated rig without ports: closed loop with the host's link, determinism, fault injection."""
 
 import math
 
@@ -23,7 +23,7 @@ LINKAGE = Linkage.from_config(CONFIG)
 
 
 class Loop:
-    """A world, and a host that rocks the palms through the link; time goes in milliseconds."""
+    """A world, and a host that rocks the palms through the link, in steps of milliseconds."""
 
     def __init__(self, seed=1, *, rocking=True, config=CONFIG, **options):
         self.world = World(config, seed, t=100.0, **options)
@@ -40,7 +40,7 @@ class Loop:
     def status(self):
         return self.world.status()
 
-    def mischief(self, name, **settings):
+    def inject(self, name, **settings):
         self.world.fault_injector.add(order(name, self.world.t, **settings))
 
     def run(self, seconds):
@@ -82,7 +82,7 @@ def long_run():
     return Loop(seed=2).run(6.0)
 
 
-def test_nothing_is_lost_or_refused_in_quiet(long_run):
+def test_nothing_is_lost_or_refused_without_faults(long_run):
     status = long_run.status
     assert status["arm_state"] == "T"
     assert status["setpoints"] == status["accepted"] > 300
@@ -92,7 +92,7 @@ def test_nothing_is_lost_or_refused_in_quiet(long_run):
     assert status["largest_tool_error_deg"] < 0.05
 
 
-def test_pads_tell_the_truth_at_their_sample_times(long_run):
+def test_pad_reports_are_true_at_their_sample_times(long_run):
     for pad in (1, 2):
         samples = [e for e in long_run.events if isinstance(e, PadSample) and e.pad == pad]
         t = [sample.t_sample for sample in samples]
@@ -105,7 +105,7 @@ def test_pads_tell_the_truth_at_their_sample_times(long_run):
         assert 0.02 < force.std() < 0.08
 
 
-def test_arm_reports_tell_the_truth_at_their_sample_times(long_run):
+def test_arm_reports_are_true_at_their_sample_times(long_run):
     t = [report.t_sample for report in long_run.reports]
     angles = np.array([LINKAGE.angles(report.pose.x_m, report.pose.y_m) for report in long_run.reports])
     for column, name in enumerate(("phi1_rad", "phi2_rad")):
@@ -133,7 +133,7 @@ def test_the_same_seed_and_input_give_the_same_bytes():
     assert first.world.object_truth() == again.world.object_truth()
 
 
-def test_before_any_command_the_arm_stands_ready_with_a_body_at_rest():
+def test_before_any_command_the_arm_is_ready_with_a_body_at_rest():
     still = CONFIG.rig.model_copy(update={"vibration": VibrationConfig(relation="none")})
     loop = Loop(rocking=False, config=CONFIG.model_copy(update={"rig": still})).run(0.3)
     truth = loop.world.truth()
@@ -144,7 +144,7 @@ def test_before_any_command_the_arm_stands_ready_with_a_body_at_rest():
     assert abs(truth["omega0_rad_s"]) < 1e-3
 
 
-def test_object_truth_is_the_body_the_contacts_see():
+def test_the_true_outline_is_that_of_the_contacts():
     world = Loop(rocking=False).run(0.1).world
     body, truth = world.object_truth(), world.truth()
     theta1 = (truth["phi1_rad"] - truth["psi_rad"] - math.pi / 2) % math.tau
@@ -201,9 +201,9 @@ def test_an_absurd_target_cannot_break_the_linkage():
 @pytest.mark.parametrize(
     ("name", "state", "after"), [("estop", "X", "R"), ("power_off", "P", "R"), ("manual", "M", "R")]
 )
-def test_the_operator_takes_and_gives_back(name, state, after):
+def test_an_operators_action_changes_the_arms_state_and_its_end_restores_it(name, state, after):
     loop = Loop().run(0.8)
-    loop.mischief(name, for_s=0.3)
+    loop.inject(name, for_s=0.3)
     loop.run(0.2)
     assert loop.status["arm_state"] == state
     loop.run(0.2)
@@ -212,12 +212,12 @@ def test_the_operator_takes_and_gives_back(name, state, after):
         assert loop.host.last_error == -621
 
 
-def test_manual_again_and_again_leaves_the_palms_within_their_limits():
+def test_repeated_manual_mode_leaves_the_palms_within_their_limits():
     loop = Loop(rocking=False).run(0.1)
     low, high = CONFIG.limits.phi1_deg
     away_deg = []
     for _ in range(6):
-        loop.mischief("manual")
+        loop.inject("manual")
         loop.run(1.0)
         loop.world.fault_injector.cancel("manual", None)
         loop.run(0.1)
@@ -230,16 +230,16 @@ def test_manual_again_and_again_leaves_the_palms_within_their_limits():
 
 def test_a_break_on_the_line_faults_the_moving_arm():
     loop = Loop().run(0.8)
-    loop.mischief("break")
+    loop.inject("break")
     loop.run(0.2)
     assert loop.status["arm_state"] == "F"
     assert loop.host.last_error == -504
 
 
 @pytest.mark.parametrize("name", ["drop", "garble", "misbaud"])
-def test_spoilt_bytes_reach_both_ends(name):
+def test_damaged_bytes_reach_both_ends(name):
     loop = Loop().run(0.5)
-    loop.mischief(name)
+    loop.inject(name)
     loop.run(1.0)
     assert loop.pads[0].counts()["bytes_discarded"] > 5
     controller, host = loop.world.status(), loop.host.counters.line
@@ -252,7 +252,7 @@ def test_spoilt_bytes_reach_both_ends(name):
 
 def test_mute_is_silence_both_ways():
     loop = Loop().run(0.8)
-    loop.mischief("mute", port="arm")
+    loop.inject("mute", port="arm")
     before, accepted = len(loop.reports), loop.status["accepted"]
     loop.run(0.1)
     assert len(loop.reports) <= before + 1
@@ -262,8 +262,8 @@ def test_mute_is_silence_both_ways():
 
 def test_late_and_burst_shift_bytes_in_time():
     quiet, late, burst = Loop(rocking=False), Loop(rocking=False), Loop(rocking=False)
-    late.mischief("late", port="pad1", strength=0.1)
-    burst.mischief("burst", port="pad1", strength=0.05)
+    late.inject("late", port="pad1", strength=0.1)
+    burst.inject("burst", port="pad1", strength=0.05)
     arrivals = []
     for loop in (quiet, late, burst):
         loop.run(1.0)
@@ -273,10 +273,10 @@ def test_late_and_burst_shift_bytes_in_time():
     assert loop.pads[0].counts()["batches"] > 10
 
 
-def test_a_finger_pulls_the_reading_towards_itself():
+def test_a_finger_shifts_the_reading_towards_itself():
     loop = Loop(rocking=False).run(0.5)
     mean = np.mean([e.s for e in loop.events if isinstance(e, PadSample) and e.pad == 1])
-    loop.mischief("touch", port="pad1", strength=2.0)
+    loop.inject("touch", port="pad1", strength=2.0)
     loop.run(0.1)
     loop.events.clear()
     loop.run(0.5)
@@ -284,9 +284,9 @@ def test_a_finger_pulls_the_reading_towards_itself():
     assert touched > mean + 5e-3
 
 
-def test_lifting_and_putting_back():
+def test_an_object_is_lifted_and_put_back():
     loop = Loop(rocking=False).run(0.5)
-    loop.mischief("lift", for_s=0.5)
+    loop.inject("lift", for_s=0.5)
     loop.run(0.4)
     assert {e.pad for e in loop.events if isinstance(e, PadLift)} == {1, 2}
     assert not loop.status["on_palms"]
@@ -297,10 +297,10 @@ def test_lifting_and_putting_back():
     assert loop.status["falls"] == 0
 
 
-def test_swapping_gives_another_body():
+def test_swap_gives_another_body():
     loop = Loop(rocking=False).run(0.2)
     before = loop.world.object_truth()["h_m"]
-    loop.mischief("swap")
+    loop.inject("swap")
     loop.run(0.5)
     assert not loop.status["on_palms"]
     loop.run(1.0)
@@ -309,7 +309,7 @@ def test_swapping_gives_another_body():
     assert loop.world.object_truth()["h_m"] != before
 
 
-def test_a_pad_with_a_handshake_tells_its_identity_after_each_break():
+def test_a_pad_with_a_handshake_sends_its_identity_after_each_break():
     pads = CONFIG.pads.model_copy(update={"palm1": CONFIG.pads.palm1.model_copy(update={"handshake": "break_twice"})})
     world = World(CONFIG.model_copy(update={"pads": pads}), 1)
     world.opened("pad1")
@@ -323,7 +323,7 @@ def test_a_pad_with_a_handshake_tells_its_identity_after_each_break():
     assert b"VP" not in out["pad2"]
 
 
-def test_pinned_hinge_and_extra_lag_change_what_happens():
+def test_a_pinned_hinge_and_extra_lag_change_the_motion():
     ends = [
         Loop(seed=3, options=options).run(2.0).world.truth()["psi_rad"]
         for options in (PlantOptions(), PlantOptions(hinge_travels=False), PlantOptions(lag_s=0.05))
@@ -347,7 +347,7 @@ def test_the_palms_vibrate_as_configured(vibration, plant):
     assert type(world.plant) is plant
 
 
-def test_a_configured_speed_and_relation_are_those_of_the_emulated_palms():
+def test_a_configured_speed_and_phase_are_those_of_the_emulated_palms():
     block = VibrationConfig(
         relation="antiphase", speed_m_s=0.02, speed_sd_m_s=0.0, frequency_hz=300.0, transmission=0.5
     )

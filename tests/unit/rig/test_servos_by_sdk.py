@@ -1,4 +1,4 @@
-"""The emulated servos, asked by the maker's own program library in virtual time."""
+"""The emulated servos, accessed by the maker's own library in virtual time."""
 
 import math
 
@@ -18,7 +18,7 @@ INSTRUCTION, RANGE, LENGTH, LIMIT, ACCESS = 2, 4, 5, 6, 7
 
 
 class VirtualPort:
-    """What the library takes for a serial port: the emulated servos on it, and time that passes while it waits."""
+    """A stand-in for the library's serial port: the emulated servos, and time that passes while it waits."""
 
     def __init__(self):
         config = tabletop()
@@ -73,16 +73,16 @@ def bus():
 
 
 def read(bus, port, servo, address, size=1):
-    """The value; None where nobody answers, the error where there is one."""
+    """The value; None without an answer, the error if there is one."""
     ask = {1: bus.read1ByteTxRx, 2: bus.read2ByteTxRx, 4: bus.read4ByteTxRx}[size]
     value, result, error = ask(port, servo, address)
     return None if result != sdk.COMM_SUCCESS else value if not error else f"error {error}"
 
 
 def write(bus, port, servo, address, value, size=1):
-    """The error, 0 where it was taken, None where nobody answers."""
-    tell = {1: bus.write1ByteTxRx, 2: bus.write2ByteTxRx, 4: bus.write4ByteTxRx}[size]
-    result, error = tell(port, servo, address, value & (1 << 8 * size) - 1)
+    """The error, 0 if accepted, None without an answer."""
+    send = {1: bus.write1ByteTxRx, 2: bus.write2ByteTxRx, 4: bus.write4ByteTxRx}[size]
+    result, error = send(port, servo, address, value & (1 << 8 * size) - 1)
     return None if result != sdk.COMM_SUCCESS else error
 
 
@@ -90,7 +90,7 @@ def is_there(bus, port, servo):
     return bus.ping(port, servo)[1] == sdk.COMM_SUCCESS
 
 
-def test_both_are_found(bus, port):
+def test_both_servos_are_found(bus, port):
     assert [is_there(bus, port, servo) for servo in (1, 2, 3)] == [True, True, False]
     found, result = bus.broadcastPing(port)
     assert (found, result) == ({1: [1060, 46], 2: [1060, 46]}, sdk.COMM_SUCCESS)
@@ -107,7 +107,7 @@ def test_a_status_return_level_decides_what_is_answered(bus, port, level, reads,
     assert (together.txRxPacket() == sdk.COMM_SUCCESS) is reads
     bus.write1ByteTxOnly(port, 1, LEVEL, 2)
     port.pass_time(0.01)
-    assert read(bus, port, 1, LED) == 1, "carried out, whether answered or not"
+    assert read(bus, port, 1, LED) == 1, "executed, whether answered or not"
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_status_return_level_decides_what_is_answered(bus, port, level, reads,
         (GOAL, 2, 100, LENGTH), (LED, 1, 1, 0), (GOAL, 4, 2000, 0),
     ],
 )  # fmt: skip
-def test_a_value_that_cannot_be_is_refused_by_its_error_and_nothing_is_set(bus, port, address, size, value, error):
+def test_an_invalid_value_is_refused_with_its_error_and_nothing_is_set(bus, port, address, size, value, error):
     before = read(bus, port, 1, address, size)
     assert write(bus, port, 1, address, value, size) == error
     if error and address != POSITION:
@@ -141,7 +141,7 @@ def test_registers_in_one_write_are_all_set_or_none(bus, port):
     assert (read(bus, port, 1, PROFILE, 4), read(bus, port, 1, GOAL, 4)) == (50, 2000)
 
 
-def test_another_id_is_another_address(bus, port):
+def test_a_changed_id_changes_the_address(bus, port):
     assert write(bus, port, 2, ID, 7) == 0
     assert [is_there(bus, port, servo) for servo in (2, 7)] == [False, True]
     assert write(bus, port, 7, ID, 2) == 0
@@ -154,7 +154,7 @@ def test_a_secondary_id_is_obeyed_and_not_answered(bus, port):
     assert read(bus, port, 1, LED) == 1
 
 
-def test_at_another_baud_nobody_hears(bus, port):
+def test_at_another_baud_rate_no_servo_answers(bus, port):
     assert write(bus, port, 2, BAUD, 1) == 0
     assert [is_there(bus, port, servo) for servo in (1, 2)] == [True, False]
 
@@ -163,7 +163,7 @@ def values(group, *servos, address=POSITION):
     return [group.getData(servo, address, 4) if group.isAvailable(servo, address, 4) else None for servo in servos]
 
 
-def test_sync_reads(bus, port):
+def test_sync_reads_return_all_values(bus, port):
     group = sdk.GroupSyncRead(port, bus, POSITION, 4)
     for servo in (1, 2):
         group.addParam(servo)
@@ -173,7 +173,7 @@ def test_sync_reads(bus, port):
     assert second == pytest.approx(read(bus, port, 2, POSITION, 4), abs=4)
 
 
-def test_behind_one_that_does_not_answer_a_sync_read_nobody_does(bus, port):
+def test_after_a_missing_servo_no_servo_answers_a_sync_read(bus, port):
     group = sdk.GroupSyncRead(port, bus, POSITION, 4)
     for servo in (9, 1, 2):
         group.addParam(servo)
@@ -181,7 +181,7 @@ def test_behind_one_that_does_not_answer_a_sync_read_nobody_does(bus, port):
     assert values(group, 1, 2) == [None, None]
 
 
-def test_writes_to_several(bus, port):
+def test_sync_writes_reach_several_servos(bus, port):
     together = sdk.GroupSyncWrite(port, bus, TORQUE, 1)
     for servo, value in ((1, 1), (2, 0)):
         together.addParam(servo, [value])
@@ -190,12 +190,12 @@ def test_writes_to_several(bus, port):
     assert [read(bus, port, servo, TORQUE) for servo in (1, 2)] == [1, 0]
 
 
-def test_an_instruction_that_it_does_not_know_is_refused(bus, port):
+def test_an_unknown_instruction_is_refused(bus, port):
     assert bus.regWriteTxRx(port, 1, LED, 1, [1]) == (sdk.COMM_SUCCESS, INSTRUCTION)
     assert read(bus, port, 1, LED) == 0
 
 
-def test_a_reboot_wipes_what_is_not_in_eeprom(bus, port):
+def test_a_reboot_resets_registers_outside_eeprom(bus, port):
     for address, value in ((DRIVE, 4), (TORQUE, 1), (LED, 1), (LEVEL, 2)):
         write(bus, port, 1, address, value)
     assert bus.reboot(port, 1) == (sdk.COMM_SUCCESS, 0)
@@ -213,7 +213,7 @@ def test_a_tripped_watchdog_refuses_goals_until_it_is_cleared(bus, port):
     assert write(bus, port, 1, GOAL, 2048, 4) == 0
 
 
-def test_goals_beyond_one_turn_are_for_the_extended_mode(bus, port):
+def test_goals_beyond_one_turn_need_the_extended_mode(bus, port):
     assert write(bus, port, 1, MODE, 4) == 0
     assert write(bus, port, 1, TORQUE, 1) == 0
     assert write(bus, port, 1, GOAL, -3000, 4) == 0
@@ -222,7 +222,7 @@ def test_goals_beyond_one_turn_are_for_the_extended_mode(bus, port):
     assert read(bus, port, 1, POSITION, 4) - 2**32 == pytest.approx(-3000, abs=4)
 
 
-def test_a_homing_offset_is_in_the_position_and_in_the_goal(bus, port):
+def test_a_homing_offset_applies_to_position_and_goal(bus, port):
     before = read(bus, port, 1, POSITION, 4)
     assert write(bus, port, 1, HOMING, 100, 4) == 0
     assert read(bus, port, 1, POSITION, 4) == pytest.approx(before + 100, abs=4)

@@ -62,7 +62,7 @@ def plain_rates(plant, row, x, phases):
     return np.concatenate([x[3:6], v_rate[0], turned.ravel(), w_rate[0]]), touch
 
 
-def test_the_plant_steps_by_runge_kutta_as_the_plain_equations_do():
+def test_the_plant_integrates_the_plain_equations_by_runge_kutta():
     body, rubbing, begun = put_on_palms(0.1, 0.01)
     plant = BodyOnPalms(body, rubbing, 9.81)
     plant.begin(*begun[:3], np.full(3, 0.5))
@@ -83,7 +83,7 @@ def test_the_plant_steps_by_runge_kutta_as_the_plain_equations_do():
     np.testing.assert_allclose(plant.point, touch.point[0], atol=1e-12)
 
 
-def test_the_palms_turn_and_read_as_the_systems_own_equations_say():
+def test_palm_angles_and_readings_agree_with_the_systems_equations():
     rng = np.random.default_rng(6)
     at = [tuple(map(tuple, rng.normal(size=(3, 3)))) for _ in range(8)]
     compiled, points = TurningPalms(at[0]), rng.normal(0.0, 0.03, (3, 3))
@@ -95,16 +95,16 @@ def test_the_palms_turn_and_read_as_the_systems_own_equations_say():
     assert np.abs(compiled.rows[0] - palm_rows(palms_at(*np.array(at[-3])[:, None]))[0]).max() < 2e-14
 
 
-def test_the_plant_goes_on_under_the_palms_as_the_arm_moves_them():
-    """Step by step: what the world hands to the plant is what its joints say, in their order."""
+def test_the_plant_gets_the_palms_of_the_arm_in_order():
+    """In each step the world passes the palms computed from its joints to the plant."""
     world = ThreePalmsWorld(CONFIG, 3)
     beta, gamma2, gamma3 = world._arm._servos
     for servo, rate in ((beta, 3e-4), (gamma2, -2e-4), (gamma3, 0.2)):
         servo.follow(world.t, rate)
-    told, advance = [], world._body.advance
+    steps, advance = [], world._body.advance
 
     def advanced(palms, dt):
-        told.append((palms.copy(), dt))
+        steps.append((palms.copy(), dt))
         advance(palms, dt)
 
     world._body.advance = advanced
@@ -112,16 +112,16 @@ def test_the_plant_goes_on_under_the_palms_as_the_arm_moves_them():
         world.advance(1e-3 * k)
         joints = tuple(map(np.array, world._arm.joints(world.t)))
         if k % 2 == 0:
-            assert told[-1][1] == 2e-3
-            assert np.abs(told[-1][0][2] - palm_rows(palms_at(*(each[None] for each in joints)))[0]).max() < 1e-14
-    assert len(told) == 4
-    assert np.array_equal(told[2][0][2], told[3][0][0])
-    assert not np.array_equal(told[3][0][0], told[3][0][1])
+            assert steps[-1][1] == 2e-3
+            assert np.abs(steps[-1][0][2] - palm_rows(palms_at(*(each[None] for each in joints)))[0]).max() < 1e-14
+    assert len(steps) == 4
+    assert np.array_equal(steps[2][0][2], steps[3][0][0])
+    assert not np.array_equal(steps[3][0][0], steps[3][0][1])
 
 
 @pytest.fixture(scope="module")
 def spoken():
-    """A world that has stood for half a second, and what its pads have said, through the daemon's own drivers."""
+    """A world after half a second at rest, and its pads' messages through the daemon's own drivers."""
     world = ThreePalmsWorld(CONFIG, 3)
     drivers = {f"pad{n}": make_pad(n, pad) for n, pad in zip(PALMS, CONFIG.pads.each(), strict=True)}
     for driver in drivers.values():
@@ -135,7 +135,7 @@ def spoken():
 
 
 @pytest.mark.parametrize("palm", PALMS)
-def test_both_coordinates_of_a_contact_come_over_the_wire(spoken, palm):
+def test_both_coordinates_of_a_contact_are_sent(spoken, palm):
     world, events = spoken
     truth = world.truth()
     mine = [event for event in events if isinstance(event, PadSample) and event.pad == palm][-20:]
@@ -157,7 +157,7 @@ def test_the_body_rests_and_its_weight_is_carried(spoken):
     assert validate(PALM3_BODY, stamp(dict(body), 1.0, 2.0, 3)) == []
 
 
-def test_what_falls_off_is_put_back_by_a_hand(monkeypatch):
+def test_a_body_that_falls_off_is_put_back(monkeypatch):
     monkeypatch.setattr("palmd.rig.three_palms.world.AWAY_S", 0.2)
     world = ThreePalmsWorld(CONFIG, 4)
     world.advance(0.1)
@@ -178,7 +178,7 @@ def test_the_line_carries_degrees_in_place_of_micrometres():
 
 
 def turned(frequencies):
-    """Rotations of a body on palms that vibrate, every step, and the forces at the end."""
+    """Rotations of a body on vibrating palms in every step, and the forces at the end."""
     body, rubbing, begun = put_on_palms(0.2, 0.0157)
     plant = BodyOnPalms(body, rubbing, 9.81, frequencies=frequencies)
     plant.begin(*begun)
@@ -190,11 +190,11 @@ def turned(frequencies):
 
 
 def test_averages_over_vibrations_are_the_limit_of_fast_ones():
-    """Resolved in steps of a fortieth of a period, to some hundredths of a degree of a turn of ten and more."""
+    """Resolved in steps of a fortieth of a period: within some hundredths of a degree in a rotation of over ten."""
     averaged, force = turned(None)
-    resolved, felt = turned((2500.0, 2630.0, 2810.0))
+    resolved, resolved_force = turned((2500.0, 2630.0, 2810.0))
     apart = np.degrees(np.arccos(np.clip((np.einsum("kij,kij->k", averaged, resolved) - 1.0) / 2.0, -1.0, 1.0)))
     way = np.degrees(np.arccos(np.clip((np.einsum("kij,ij->k", averaged, averaged[0]) - 1.0) / 2.0, -1.0, 1.0)))
     assert way.max() > 5.0
     assert apart.max() < 0.03
-    np.testing.assert_allclose(felt, force, rtol=0.03)
+    np.testing.assert_allclose(resolved_force, force, rtol=0.03)

@@ -1,4 +1,4 @@
-"""Palms that really vibrate: the resolved plant against the law averaged over signs of slip."""
+"""Vibrating palms: the resolved plant against the law averaged over signs of slip."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def rocking(t, share=1.0):
 
 
 def history(plant, seconds, share=1.0, psi=0.9):
-    """psi (rad) and both forces (N) each half a millisecond."""
+    """psi (rad) and both forces (N) every half millisecond."""
     plant.place(rocking(0.0, share), psi)
     rows = []
     for k in range(round(seconds / STEP_S)):
@@ -73,7 +73,7 @@ def apart_deg(one, two):
 
 @pytest.mark.parametrize(("relation", "most_deg"), [("independent", 0.3), ("in_phase", 0.2), ("antiphase", 0.35)])
 def test_the_resolved_vibration_turns_the_body_as_the_averaged_law_does(relation, most_deg):
-    """At 250 Hz over 4 s, beside 2.5°, 1.3° and 4.9° of the old law (docs/theory/vibration.md)."""
+    """At 250 Hz over 4 s; the old law differed by 2.5°, 1.3° and 4.9° (docs/theory/vibration.md)."""
     here = history(resolved(relation), 4.0)
     assert apart_deg(here, history(averaged(relation), 4.0)) < most_deg
     old = history(Plant(BODY, FIXED, FrictionSurface(0.2, 0.5 * math.pi * SPEED)), 4.0)
@@ -81,12 +81,12 @@ def test_the_resolved_vibration_turns_the_body_as_the_averaged_law_does(relation
 
 
 @pytest.mark.parametrize("relation", ALONG_PHASE)
-def test_the_faster_the_closer(relation):
+def test_the_difference_decreases_with_frequency(relation):
     here = history(resolved(relation, frequency=2500.0), 1.0)
     assert apart_deg(here, history(averaged(relation, frequency=2500.0), 1.0)) < 0.02
 
 
-def test_a_wrong_sign_of_the_phase_is_seen():
+def test_a_wrong_sign_of_the_phase_is_detected():
     """In phase and antiphase differ by several degrees, as t1 points outwards and t2 inwards."""
     here, there = history(resolved("in_phase"), 1.0), history(averaged("antiphase"), 1.0)
     assert apart_deg(here, there) > 2.0
@@ -103,9 +103,9 @@ def test_forces_are_means_over_the_vibration():
         assert here[late, column].mean() == pytest.approx(mean, rel=3e-3)
 
 
-def test_no_reversal_is_lost():
+def test_no_reversal_of_slip_is_lost():
     plant = resolved("independent")
-    history(plant, 1.0, share=0.0, psi=0.883)  # palms that rest: the slip is far below V
+    history(plant, 1.0, share=0.0, psi=0.883)  # palms at rest: the slip is far below V
     for count, shaker in zip(plant.reversals, plant.shaking.palms, strict=True):
         assert count == pytest.approx(2.0 * shaker.frequency, abs=2.0)
     assert plant.stuck_s == (0.0, 0.0)
@@ -153,7 +153,7 @@ def test_arcs_vibrate_too():
     assert apart_deg(here, old) > 1.0
 
 
-def test_a_copy_goes_on_as_the_original_does():
+def test_a_copy_continues_as_the_original():
     plant = resolved("in_phase")
     history(plant, 0.2)
     others = [copy.deepcopy(plant), pickle.loads(pickle.dumps(plant))]
@@ -162,7 +162,7 @@ def test_a_copy_goes_on_as_the_original_does():
     assert {each.state.psi for each in others} == {plant.state.psi}
 
 
-def test_what_is_smoothed_keeps_what_is_slow_and_where_nothing_is():
+def test_smoothing_keeps_slow_changes_and_gaps():
     t = np.arange(2000) * STEP_S
     rows = np.zeros((len(t), 11))
     rows[:, 2] = np.sin(3.0 * t) + 0.2 * np.cos(math.tau * 250.0 * t + 0.4)

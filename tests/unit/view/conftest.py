@@ -16,4 +16,4 @@ def daemon():
 def served(daemon):
     with contextlib.closing(Served(daemon)) as one:
         yield one
-        one.get("/")  # whoever has knocked before has been let in by then, and is let go in good order
+        one.get("/")  # earlier connections have been accepted by then, and close in good order

@@ -1,4 +1,4 @@
-"""What the page is told that the live outline looks like."""
+"""The page's message about the shape class of the live outline."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from tools.studies.real_objects import real_object
 THETA = np.arange(360) * (math.tau / 360)
 
 
-def latest(*, valid: bool = True, felt: float = 1.0) -> dict[str, bytes]:
+def latest(*, valid: bool = True, coverage: float = 1.0) -> dict[str, bytes]:
     h = real_object("nut", np.random.default_rng(3)).body.support.sample(THETA)
     shape = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "h_sd_m": [3e-5] * 360,
-             "touched": (felt * math.tau > THETA).astype(int).tolist()}  # fmt: skip
+             "touched": (coverage * math.tau > THETA).astype(int).tolist()}  # fmt: skip
     estimate = {"valid": valid, "object": 4}
     return {SHAPE.name: msgpack.packb(shape), ESTIMATE.name: msgpack.packb(estimate)}
 
 
-def told(payloads: dict[str, bytes]) -> dict[str, object]:
+def shape_class_of(payloads: dict[str, bytes]) -> dict[str, object]:
     payload = shape_class_message(payloads)
     assert payload is not None
     fields: dict[str, object] = msgpack.unpackb(payload)
     return fields
 
 
-def test_a_nut_felt_all_round_is_a_hexagon_and_of_that_object() -> None:
-    fields = told(latest())
+def test_a_fully_covered_nut_is_a_hexagon_with_its_object_number() -> None:
+    fields = shape_class_of(latest())
     assert fields["object"] == 4
     assert str(fields["text"]).startswith("regular hexagon, 24.0")
 
 
-def test_half_a_nut_has_no_name() -> None:
-    assert told(latest(felt=0.5))["text"] == ""
+def test_half_a_nut_has_no_shape_class() -> None:
+    assert shape_class_of(latest(coverage=0.5))["said"] == ""
 
 
 @pytest.mark.parametrize("without", [ESTIMATE.name, SHAPE.name])
-def test_nothing_is_said_of_what_nobody_vouches_for(without: str) -> None:
+def test_an_invalid_or_missing_estimate_has_no_shape_class(without: str) -> None:
     assert shape_class_message(latest(valid=False)) is None
     assert shape_class_message({topic: payload for topic, payload in latest().items() if topic != without}) is None
 
@@ -55,7 +55,7 @@ def test_nothing_is_said_of_what_nobody_vouches_for(without: str) -> None:
         ({"h_m": [math.nan] * 360}, "lists of finite numbers of equal length"),
     ],
 )
-def test_an_outline_that_is_said_otherwise_is_told_in_one_line(change: dict[str, object], words: str) -> None:
+def test_an_invalid_outline_message_is_a_one_line_error(change: dict[str, object], words: str) -> None:
     payloads = latest()
     shape = msgpack.unpackb(payloads[SHAPE.name]) | change
     payloads[SHAPE.name] = msgpack.packb({name: value for name, value in shape.items() if value is not None})

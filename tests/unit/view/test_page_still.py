@@ -1,4 +1,4 @@
-"""The live page in a real browser, without a rig: what it makes of what is published, and what its buttons ask for."""
+"""The live page in a real browser, without a rig: what it shows of published messages, and its buttons' commands."""
 
 import itertools
 import math
@@ -41,7 +41,7 @@ def driver():
 
 
 class Bus:
-    """A publisher that says the same again and again, and a command socket that grants and remembers everything."""
+    """A publisher that repeats its messages, and a command socket that grants and records every command."""
 
     def __init__(self):
         self._context = zmq.Context()
@@ -58,8 +58,8 @@ class Bus:
     def _live(self):
         while not self._over.wait(0.02):
             for topic, fields in list(self.messages.items()):
-                told = msgpack.packb({"mono_ns": time.monotonic_ns(), **fields})
-                self._publisher.send_multipart([topic.encode(), told, b"1.0"])
+                payload = msgpack.packb({"mono_ns": time.monotonic_ns(), **fields})
+                self._publisher.send_multipart([topic.encode(), payload, b"1.0"])
             while self._commands.poll(0):
                 *route, request = self._commands.recv_multipart()
                 asked = msgpack.unpackb(request)
@@ -82,7 +82,7 @@ def bus():
 
 @pytest.fixture
 def still(driver, bus, caplog):
-    """The page of what `bus` says: a rig of any number of palms that stands still, tracking."""
+    """The page of `bus`: a rig with some number of palms, at rest, tracking."""
     server = Served(bus)
     page = Page(driver, server.url)
     page.resize(*LAPTOP)
@@ -94,7 +94,7 @@ def still(driver, bus, caplog):
 
 
 def rig_of(palms, state="tracking", **more):
-    """What a daemon with so many palms says: symmetric about the vertical, a circle of 20 mm on them."""
+    """The messages of a daemon with `palms` palms: symmetric about the vertical, a circle of 20 mm on them."""
     angles = [0.3, *[(math.pi - 0.6) / max(palms - 1, 1)] * (palms - 1)]
     numbers = range(1, palms + 1)
     estimate = {"valid": True, "object": 1, "com_x_m": 0.0, "com_y_m": 0.02, "psi_rad": 0.1, "mass_kg": 0.15,
@@ -123,7 +123,7 @@ def rig_of(palms, state="tracking", **more):
 
 
 def body_in_space(off_m=0.0):
-    """What a daemon with three palms says: an ellipsoid turned by half a radian; the rig has one larger by `off_m`."""
+    """The messages of three palms: an ellipsoid rotated by half a radian; the true one is larger by `off_m`."""
     axes, directions = np.array([0.02, 0.016, 0.024]), icosphere(3)[0]
     h = np.linalg.norm(directions * axes, axis=1)
     quat, numbers = [0.0, 0.0, math.sin(0.25), math.cos(0.25)], (1, 2, 3)
@@ -150,7 +150,7 @@ def body_in_space(off_m=0.0):
 
 
 def pivoting():
-    """What a daemon says of a disc of 20 mm that a gripper holds 8 mm beside its middle, on a pad of 50 mm."""
+    """The messages of a gripper that holds a disc of 20 mm, 8 mm from its centre, on a pad of 50 mm."""
     theta = np.arange(360) * (2 * np.pi / 360)
     h = 0.02 + 0.008 * np.cos(theta)
     return {
@@ -173,12 +173,7 @@ def opened(page, bus, messages):
     return page
 
 
-def test_fields_of_an_old_recording_are_read_under_their_former_names(still, bus):
-    opened(still, bus, rig_of(2) | {"palm/rig": {"off": ["pad 1's zero seems off: calibrate"]}})
-    still.until(lambda: still.text("notice-count") == "1: 1 rig", "the deviation")
-
-
-def test_what_cannot_be_jogged_has_no_jog_pad(still, bus):
+def test_a_system_without_jogging_has_no_jog_pad(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)
     still.until(lambda: still.shows("jog") and still.shows("jog-line"), "the jog pad")
@@ -195,15 +190,15 @@ def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus,
     assert f"palm {palms}" in still.text("jog")
     still.until(lambda: still.drawn("blue") > 300, "palm 1")
     assert (still.drawn("red") > 300) == (palms > 1)
-    assert (still.drawn("green") > 100) == (palms > 1)  # one palm does not tell where the object is
+    assert (still.drawn("green") > 100) == (palms > 1)  # one palm does not determine the object's position
     assert (still.drawn("purple") > 300) == (palms > 2)
-    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
+    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture's description is updated
     assert still.errors() == []
 
 
 def test_a_body_in_a_pivoting_grasp_is_drawn_and_described(still, bus):
     opened(still, bus, pivoting())
-    for hue in ("blue", "green"):  # pad and contact, and what is well known of the body
+    for hue in ("blue", "green"):  # pad and contact, and the well-known parts of the body
         still.until(lambda hue=hue: still.drawn(hue) > 300, hue)
     label = "return document.getElementById('scene').ariaLabel ?? ''"
     still.until(lambda: "Touched over 60 % of the outline about the pivot." in still.script(label), "the description")
@@ -211,9 +206,9 @@ def test_a_body_in_a_pivoting_grasp_is_drawn_and_described(still, bus):
     assert still.errors() == []
 
 
-def test_a_body_in_space_is_seen_between_its_palms(still, bus):
+def test_a_body_in_space_is_drawn_between_its_palms(still, bus):
     opened(still, bus, body_in_space(off_m=30e-6))
-    for hue in ("blue", "red", "purple", "green"):  # three palms, and what is well known of the body
+    for hue in ("blue", "red", "purple", "green"):  # three palms, and the well-known parts of the body
         still.until(lambda hue=hue: still.drawn(hue) > 300, hue)
     still.until(lambda: still.text("error-to-truth") == "error to truth: 30\u00a0µm, worst 30\u00a0µm", "the error")
     shown = "return [...document.querySelectorAll('.strip:not([hidden]) .name')].map((each) => each.textContent)"
@@ -226,7 +221,7 @@ def test_a_body_in_space_is_seen_between_its_palms(still, bus):
     still.script("document.getElementById('scene').focus()")
     still.key(Keys.ARROW_LEFT)  # seen from another side
     still.until(lambda: still.script("return document.getElementById('scene').toDataURL()") != before, "another side")
-    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture has been described meanwhile
+    still.script("return new Promise((done) => setTimeout(done, 3200))")  # the picture's description is updated
     assert "Touched over 50 % of the surface" in still.script("return document.getElementById('scene').ariaLabel")
     assert still.errors() == []
     opened(still, bus, rig_of(2))
@@ -244,14 +239,14 @@ def test_a_body_in_space_is_seen_between_its_palms(still, bus):
         ({}, "Armed, no plan is running"),
     ],
 )
-def test_what_is_going_on_is_said_in_words(still, bus, more, words):
+def test_the_current_activity_is_described(still, bus, more, words):
     opened(still, bus, rig_of(2, **more))
     still.until(lambda: still.text("words").replace("\u00a0", " ") == words, words)
     assert (still.text("known"), still.text("typical"), still.text("worst")) == ("40", "± 5", "worst ±\u00a05\u00a0µm")
     assert (still.text("mass"), still.text("mass-sd")) == ("150.0", "± 2.0 g")
 
 
-def test_an_emulated_rig_that_was_starved_is_no_pads_fault(still, bus):
+def test_an_emulated_rig_without_processor_time_is_not_shown_as_a_pad_fault(still, bus):
     messages = rig_of(2, state="hold", cause="pad 1 fell silent")
     messages["rig/stall"] = {"t_s": 1.0, "lasted_s": 0.112, "count": 3}
     opened(still, bus, messages)
@@ -259,7 +254,7 @@ def test_an_emulated_rig_that_was_starved_is_no_pads_fault(still, bus):
     still.until(lambda: still.text("reason").replace("\u00a0", " ").startswith(words), "whose fault it is")
 
 
-def test_what_speaks_against_an_estimate_is_shown(still, bus):
+def test_reasons_against_an_estimate_are_shown(still, bus):
     messages = rig_of(2, running=True, exploring=True, explored_s=8.0, reason="rocks the object")
     messages["palm/estimate"] |= {"valid": False, "invalid_reasons": ["unexplained", "not-sharp"]}
     opened(still, bus, messages)
@@ -282,7 +277,7 @@ def test_plots_are_drawn_only_in_view_and_at_once_when_scrolled_to(still, bus):
     still.until(lambda: still.script(drawn) > before + 1000, "the last plot")
 
 
-def test_of_an_estimate_that_is_not_valid_no_figure_and_no_lens_is_shown(still, bus):
+def test_an_invalid_estimate_is_shown_without_numbers_and_lens(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)
     still.script("document.getElementById('magnify').click()")
@@ -293,12 +288,12 @@ def test_of_an_estimate_that_is_not_valid_no_figure_and_no_lens_is_shown(still, 
 
 
 def test_every_button_can_be_pressed_by_keyboard(still, bus):
-    """By tab and space alone; jogging goes on for as long as the key is down, and no longer."""
+    """By tab and space alone; jogging continues while the key is down, and no longer."""
     messages = rig_of(2)
     opened(still, bus, messages)
 
     def reached(selector):
-        """Whether so many tabs lead there."""
+        """Whether a number of tabs leads there."""
         for _ in range(60):
             ActionChains(still.driver).send_keys(Keys.TAB).perform()
             if still.script("return document.activeElement.matches(arguments[0])", selector):
@@ -342,10 +337,10 @@ def test_every_button_can_be_pressed_by_keyboard(still, bus):
         steps = still.until(lambda joint=joint: jogged(joint), "some steps")
         ActionChains(still.driver).key_up(Keys.SPACE).perform()
         assert {abs(step[f"{joint}_deg"]) for step in steps} == {0.4}
-        time.sleep(0.2)  # for what is on its way
+        time.sleep(0.2)  # for commands in transit
         count = len(bus.asked)
         time.sleep(0.4)
-        assert len(bus.asked) == count  # nobody holds it any more
+        assert len(bus.asked) == count  # no key is held any more
     press("[data-command=hold]")
     asks("hold")
     press("[data-command=start]", twice=True)
@@ -357,7 +352,7 @@ def test_every_button_can_be_pressed_by_keyboard(still, bus):
         press(f"[data-command={command}]", twice=command == "arm")
         asks(command)
         still.until(lambda: "stop" not in still.enabled(), "nothing to stop")
-    still.key(ESCAPE)  # is heard even so: the page may be wrong
+    still.key(ESCAPE)  # works nevertheless: the page may be wrong
     asks("stop")
     assert still.errors() == []
 
@@ -373,8 +368,8 @@ TO_BE_REACHED = """
 """
 
 
-def test_views_sliders_and_menus_are_worked_by_keyboard(still, bus):
-    """Tab leads to all that can be used, in each view; arrows choose views, move sliders and choose from menus."""
+def test_views_sliders_and_menus_work_by_keyboard(still, bus):
+    """Tab reaches every control in each view; arrows choose views, move sliders and choose from menus."""
     opened(still, bus, rig_of(2))
 
     def keys(*which):
@@ -408,7 +403,7 @@ def test_views_sliders_and_menus_are_worked_by_keyboard(still, bus):
 
 
 @pytest.mark.parametrize("size", [LAPTOP, SMALL, PHONE, WIDE], ids=str)
-def test_state_and_stop_are_in_view_wherever_one_looks(still, bus, size):
+def test_state_and_stop_are_visible_in_every_view_and_size(still, bus, size):
     still.resize(*size)
     opened(still, bus, rig_of(2))
     for share in (0.0, 0.5, 1.0):
@@ -416,20 +411,20 @@ def test_state_and_stop_are_in_view_wherever_one_looks(still, bus, size):
         for selector in ("#state", "[data-command=stop]"):
             assert still.script(IN_VIEW, selector), (selector, share)
     assert still.script("return document.documentElement.scrollWidth") <= size[0]
-    if size in (LAPTOP, SMALL):  # scene and figures are seen without scrolling
+    if size in (LAPTOP, SMALL):  # scene and figures are visible without scrolling
         still.script("scrollTo(0, 0)")
         assert still.script(IN_VIEW, "#mass-sd")
         assert still.script("return document.getElementById('scene').getBoundingClientRect().bottom") <= size[1]
 
 
 @pytest.mark.parametrize("size", [LAPTOP, PHONE], ids=str)
-def test_longer_words_move_nothing_below_or_beside_them(still, bus, size):
+def test_longer_texts_do_not_move_other_elements(still, bus, size):
     still.resize(*size)
     opened(still, bus, rig_of(2))
     where = "return JSON.stringify(['#reason', '#validity', '#take', '.tabs', '#control'].map((name) => {"
     where += " const { x, y } = document.querySelector(name).getBoundingClientRect(); return [x, y]; }))"
-    told = "for (const id of ['words', 'control']) document.getElementById(id).textContent = arguments[0]; " + where
-    assert still.script(told, "brief") == still.script(told, "at length, in more words than fit into one line " * 3)
+    script = "for (const id of ['words', 'control']) document.getElementById(id).textContent = arguments[0]; " + where
+    assert still.script(script, "brief") == still.script(script, "at length, in more words than fit into one line " * 3)
 
 
 HINTS = [
@@ -461,7 +456,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
     jogs = -1
     for step in itertools.count():
         now = time.monotonic()
-        if step % 8 == 7:  # a machine that held up page or bus for long ends the jog, rightly
+        if step % 8 == 7:  # on a machine that delays page or bus for long the jog ends
             held, jogs = jogs, sum(asked["cmd"] == "jog" for asked in bus.asked)
             if jogs == held:
                 ActionChains(still.driver).release().click_and_hold(handle).perform()
@@ -501,7 +496,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [LAPTOP, PHONE], ids=str)
-def test_axe_finds_nothing_that_keeps_people_from_using_it(still, bus, size, scheme):
+def test_axe_finds_no_accessibility_problem(still, bus, size, scheme):
     still.resize(*size)
     still.scheme(scheme)
     opened(still, bus, rig_of(2, state="hold", faults=["pad1-silent"], severities=["hold"], hints=["see"], texts=["x"]))
@@ -511,14 +506,14 @@ def test_axe_finds_nothing_that_keeps_people_from_using_it(still, bus, size, sch
     assert found == []
 
 
-def test_a_replay_is_called_one_and_cannot_be_commanded(still, bus):
+def test_a_replay_is_marked_and_cannot_be_commanded(still, bus):
     opened(still, bus, rig_of(2) | {"replay/run": {"path": "a.mcap", "speed": 1.0}})
     still.until(lambda: still.shows("replay"), "the badge")
     still.until(lambda: still.enabled() == set(), "no commands")
     assert "recorded run" in still.text("authority")
 
 
-def test_what_has_happened_is_told_the_newest_first(still, bus):
+def test_past_events_are_listed_newest_first(still, bus):
     now = time.monotonic()
     log = {"number": [0, 1], "t_s": [now - 100.0, now], "kind": ["state", "command"], "name": ["hold", "start"],
            "severity": ["", ""], "who": ["", "page"],
@@ -533,22 +528,22 @@ def test_what_has_happened_is_told_the_newest_first(still, bus):
 
 
 def test_a_body_in_the_hand_is_not_drawn_through_the_pad(still, bus):
-    """A disc of 20 mm held 12 mm beside its middle: the pivot stands 32 mm over its lowest point, or 8 mm."""
+    """A disc of 20 mm held 12 mm beside its centre: the pivot is 32 mm above its lowest point, or 8 mm."""
     opened(still, bus, rig_of(2))
     theta = np.arange(360) * (2 * np.pi / 360)
     disc = {"theta_rad": theta.tolist(), "h_m": (0.02 + 0.012 * np.cos(theta)).tolist()}
     off, high = {"z_m": 0.02, "touch1": False}, {"z_m": 0.033, "touch1": False}
     down = {"psi_rad": -np.pi / 2}, {"psi_rad": np.pi / 2 + 6 * np.pi}
-    told = [off | down[0], off | down[1], high | down[0], off | down[0] | {"touch1": True}]
+    truths = [off | down[0], off | down[1], high | down[0], off | down[0] | {"touch1": True}]
     clear = still.script(
-        "const [disc, told] = arguments;"
-        "return import('/pivotscene.js').then(({ clear }) => told.map((truth) => clear(disc, truth)))",
-        disc, told,
+        "const [disc, truths] = arguments;"
+        "return import('/pivotscene.js').then(({ clear }) => truths.map((truth) => clear(disc, truth)))",
+        disc, truths,
     )  # fmt: skip
     assert clear == [False, True, True, True]
 
 
-def test_its_outline_is_the_supports_envelope(driver, tmp_path):
+def test_the_drawn_outline_is_the_supports_envelope(driver, tmp_path):
     """x = h n + h′ n′ of an ellipse whose first harmonic is not zero, against the ellipse itself."""
     a, b, x0, y0 = 0.024, 0.017, 0.002, -0.001
     theta = np.arange(360) * (2 * np.pi / 360)

@@ -1,4 +1,4 @@
-"""The page's runs and configuration: who may have them, what is told, and that no name leads anywhere else."""
+"""The page's runs and configuration: who may read them, what is sent, and that no name leads to other files."""
 
 import contextlib
 import json
@@ -31,11 +31,11 @@ def library(daemon, tmp_path):
 
 def asks(page, command, **args):
     page.send(json.dumps({"id": 3, "cmd": command, "args": args}))
-    told = next(answers(page))
-    return told["error"], told.get("result")
+    answer = next(answers(page))
+    return answer["error"], answer.get("result")
 
 
-def test_an_operator_lists_fetches_and_deletes_runs(library):
+def test_an_operator_lists_downloads_and_deletes_runs(library):
     server, runs, _ = library
     with server.page() as (page, hello):
         error, result = asks(page, "runs")
@@ -51,7 +51,7 @@ def test_an_operator_lists_fetches_and_deletes_runs(library):
 
 
 @pytest.mark.parametrize("name", ["../secret.mcap", "secret.mcap", "", ".palmd-runs.json", "old.note", "a/b.mcap"])
-def test_nothing_else_can_be_named(library, name):
+def test_no_other_file_can_be_named(library, name):
     server, runs, _ = library
     with server.page() as (page, hello):
         for command in ("delete", "report"):
@@ -71,7 +71,7 @@ def test_without_the_token_there_are_no_files(library):
         assert server.get(f"/files/{key}/old.mcap")[0] == 404
 
 
-def test_what_is_being_recorded_is_not_deleted(library):
+def test_a_recording_in_progress_is_not_deleted(library):
     server, runs, _ = library
     os.utime(runs / "new.mcap", (time.time(), time.time()))
     with server.page() as (page, _):
@@ -79,7 +79,7 @@ def test_what_is_being_recorded_is_not_deleted(library):
     assert (runs / "new.mcap").exists()
 
 
-def test_a_report_that_cannot_be_made_says_why(library):
+def test_a_failed_report_gives_its_reason(library):
     server, _, _ = library
     with server.page() as (page, _):
         error, _ = asks(page, "report", run="old.mcap")
@@ -87,7 +87,7 @@ def test_a_report_that_cannot_be_made_says_why(library):
     assert "old.mcap" in error
 
 
-def test_the_configuration_is_shown_with_what_check_finds_and_without_secrets(library):
+def test_the_configuration_is_shown_with_checks_and_without_secrets(library):
     server, _, config = library
     with server.page() as (page, _):
         error, result = asks(page, "configuration")
@@ -98,7 +98,7 @@ def test_the_configuration_is_shown_with_what_check_finds_and_without_secrets(li
     assert any("zero_mm" in finding["text"] and finding["line"] == 1 for finding in result["findings"])
 
 
-def test_files_are_sent_packed_to_whoever_takes_them(library):
+def test_files_are_sent_compressed_if_the_client_accepts_that(library):
     server, _, _ = library
     status, headers, body = server.get("/page.css", **{"Accept-Encoding": "gzip, br"})
     assert (status, headers["Content-Encoding"]) == (200, "gzip")

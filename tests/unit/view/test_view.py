@@ -1,4 +1,4 @@
-"""The live page's server: who may come in, what goes out, and that no command waits for a daemon that is not there."""
+"""The live page's server: access, messages, and commands that never wait for an absent daemon."""
 
 import asyncio
 import contextlib
@@ -25,7 +25,7 @@ from palmd.view.files import STATIC, page_files, without_comments
 # --------------------------------------------------------------------------------------------------- the files
 
 
-def test_the_page_and_all_that_it_names_come_from_here(served):
+def test_the_page_and_all_its_references_are_served_here(served):
     status, headers, body = served.get("/")
     assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
@@ -45,8 +45,8 @@ def test_the_page_and_all_that_it_names_come_from_here(served):
         assert "https://" not in body.decode()
 
 
-def test_the_first_view_is_small_even_unpacked():
-    """What is loaded when the page opens: all but what a view or a system brings when it is first shown."""
+def test_the_first_view_is_small_even_uncompressed():
+    """The files loaded when the page opens: all but those of a view or a system that is shown later."""
     files = page_files()
     first = {"/", "/quantities.json", "/icon.svg"}
     waiting = set(re.findall(r'(?:src|href)="([^"#]+)"', files["/"].body.decode()))
@@ -61,7 +61,7 @@ def test_the_first_view_is_small_even_unpacked():
     assert sum(len(files[path].packed) for path in first) < 80_000
 
 
-def test_sources_lose_comments_and_indentation_and_no_line():
+def test_minified_sources_lose_comments_and_indentation_and_no_line():
     source = 'a("//x");\n  /** Says\n   * more. */\n  // why\n\tb(`/** */`); // here\n'
     assert without_comments(source, ".js") == 'a("//x");\n\n\n\nb(`/** */`); // here\n'
     assert without_comments("/* a\nb */\np { color: red; /* c */ }\n", ".css") == "\n\np { color: red;  }\n"
@@ -76,7 +76,7 @@ def test_no_path_leads_out_of_the_page(served, path):
     assert served.get(path)[0] == 404
 
 
-def test_code_of_others_is_what_its_note_says():
+def test_third_party_code_has_the_hash_of_its_note():
     note = (STATIC / "vendor/README.md").read_text()
     for path in (STATIC / "vendor").glob("uPlot.*"):
         assert hashlib.sha256(path.read_bytes()).hexdigest() in note
@@ -84,7 +84,7 @@ def test_code_of_others_is_what_its_note_says():
     assert {"/", "/index.html", "/vendor/uPlot.iife.min.js"} <= page_files().keys()
 
 
-# ------------------------------------------------------------------------------------------------ who may come in
+# ------------------------------------------------------------------------------------------------------ access
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_socket_needs_an_origin(served):
         "[" * 4000,
     ],
 )
-def test_the_first_message_must_show_a_token_or_none(served, first):
+def test_the_first_message_must_be_a_token_or_none(served, first):
     with served.socket() as page:
         page.send(first)
         with pytest.raises(ConnectionClosed) as closed:
@@ -136,7 +136,7 @@ def test_the_first_message_must_show_a_token_or_none(served, first):
 
 
 @pytest.mark.parametrize("token", [None, "", "open sesam", "Open sesame", "ö"])
-def test_without_the_token_a_page_only_watches(daemon, served, token):
+def test_without_the_token_a_page_is_read_only(daemon, served, token):
     daemon.take_commands()
     with served.page(token) as (page, hello):
         assert hello["operator"] is False
@@ -145,7 +145,7 @@ def test_without_the_token_a_page_only_watches(daemon, served, token):
     assert daemon.asked(0.2) is None
 
 
-def test_a_token_that_is_no_text_at_all_is_not_ours():
+def test_a_token_that_is_no_text_is_rejected():
     assert not http_guard.may_operate((wire.token_in('{"token": "\\ud800"}') or ("",))[0], TOKEN)
 
 
@@ -161,14 +161,14 @@ def test_a_command_reaches_the_daemon_and_its_answer_the_page(daemon, served):
             page.send(json.dumps({"id": 1, "cmd": "jog", "args": {"phi1_deg": 0.4}}))
             route, asked = daemon.asked()
             assert (asked["cmd"], asked["args"]) == ("jog", {"phi1_deg": 0.4})
-            daemon.reply(route, id=asked["id"] + 1000, ok=True)  # of something else
+            daemon.reply(route, id=asked["id"] + 1000, ok=True)  # to another request
             daemon.reply(route, id=asked["id"], **reply)
-            told = next(said(page, str, "an answer"))
-            assert json.loads(told) == {"answer": {"id": 1, "cmd": "jog", "error": error}}
+            answer_text = next(said(page, str, "an answer"))
+            assert json.loads(answer_text) == {"answer": {"id": 1, "cmd": "jog", "error": error}}
 
 
 @pytest.mark.parametrize("command", ["recorder", "status", "", "arm "])
-def test_the_page_has_no_other_commands(daemon, served, command):
+def test_unknown_commands_are_refused(daemon, served, command):
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
@@ -176,7 +176,7 @@ def test_the_page_has_no_other_commands(daemon, served, command):
     assert daemon.asked(0.2) is None
 
 
-def test_a_command_never_waits_for_a_daemon_that_is_not_there(daemon, served):
+def test_a_command_never_waits_for_an_absent_daemon(daemon, served):
     with served.page() as (page, _):
         for command in allowed():
             assert answer(page, command) == f"no daemon accepts commands at {daemon.command}"
@@ -185,17 +185,17 @@ def test_a_command_never_waits_for_a_daemon_that_is_not_there(daemon, served):
     assert daemon.asked(0.3) is None
 
 
-def test_silence_is_told_after_a_while(daemon, served, monkeypatch):
+def test_a_missing_answer_is_reported_after_a_timeout(daemon, served, monkeypatch):
     monkeypatch.setattr(command_client, "TIMEOUT_S", 0.1)
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
         assert answer(page, "stop") == f"no answer from {daemon.command} within 0.1 s"
         route, asked = daemon.asked()
-        daemon.reply(route, id=asked["id"], ok=True)  # too late: says nothing any more
+        daemon.reply(route, id=asked["id"], ok=True)  # too late: ignored
         page.send(json.dumps({"id": 8, "cmd": "none"}))
-        told = next(said(page, str, "an answer"))
-        assert json.loads(told)["answer"]["id"] == 8
+        answer_text = next(said(page, str, "an answer"))
+        assert json.loads(answer_text)["answer"]["id"] == 8
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_silence_is_told_after_a_while(daemon, served, monkeypatch):
         '{"id": 1, "cmd": "stop", "args": {"a": 36893488147419103232}}',
     ],
 )
-def test_rubbish_is_no_order_and_does_no_harm(daemon, served, rubbish):
+def test_invalid_messages_are_no_commands_and_do_no_harm(daemon, served, rubbish):
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
@@ -224,7 +224,7 @@ def test_rubbish_is_no_order_and_does_no_harm(daemon, served, rubbish):
     assert daemon.asked(0.1) is None
 
 
-def test_what_applies_when_is_the_daemons_own_table():
+def test_the_available_commands_are_those_of_the_daemons_table():
     table = allowed()
     assert table.keys() < COMMANDS.keys()
     assert table["arm"] == ["ready"]
@@ -237,7 +237,7 @@ def test_what_applies_when_is_the_daemons_own_table():
 
 
 def speak_until_heard(daemon, page):
-    """Until the subscription stands: a publisher's first messages find nobody."""
+    """Repeats until the subscription is established: a publisher's first messages are lost."""
     page.socket.settimeout(PATIENCE_S)
     found = []
     stop = threading.Event()
@@ -256,7 +256,7 @@ def speak_until_heard(daemon, page):
     return found
 
 
-def test_messages_pass_in_their_order_and_unchanged(daemon, served):
+def test_messages_pass_in_order_and_unchanged(daemon, served):
     with served.page() as (page, _):
         speak_until_heard(daemon, page)
         sent = [{"seq": seq, "nis": math.nan, "names": ["ö"]} for seq in range(300)]
@@ -267,14 +267,14 @@ def test_messages_pass_in_their_order_and_unchanged(daemon, served):
     assert came == [msgpack.packb(fields) for fields in sent]
 
 
-def test_what_is_no_message_of_ours_is_left_out(daemon, served):
+def test_foreign_messages_are_left_out(daemon, served):
     with served.page() as (page, _):
         speak_until_heard(daemon, page)
         daemon.send(b"palm/state")
         daemon.send(b"palm/state", b"x", b"1.0", b"more")
         daemon.send(b"palm/stateless", b"x", b"1.0")
         daemon.send(b"palm/events", b"x", b"1.0")
-        daemon.send(b"palm/state", b"\xc1 no msgpack", b"1.0")  # for the page to leave out
+        daemon.send(b"palm/state", b"\xc1 no msgpack", b"1.0")  # the page must ignore it
         daemon.say("palm/loop", {})
         came = heard(page, "palm/loop")
     assert [payload for topic, payload in came if topic != "palm/info"] == [b"\xc1 no msgpack", msgpack.packb({})]
@@ -295,7 +295,7 @@ def test_a_new_page_gets_the_last_message_of_every_topic_at_once(daemon, served)
 
 
 class Stuck:
-    """A connection that takes nothing until it is let go."""
+    """A connection that accepts nothing until it is released."""
 
     def __init__(self):
         self.sent = []
@@ -311,7 +311,7 @@ async def pause():
         await asyncio.sleep(0)
 
 
-def test_a_slow_page_loses_frames_and_never_grows():
+def test_a_slow_page_loses_frames_and_its_queue_is_bounded():
     async def story():
         connection = Stuck()
         client = PageClient(connection, operator=False, name="page 1")
@@ -341,11 +341,11 @@ def test_a_slow_page_loses_frames_and_never_grows():
     assert again == [1002, 1000, True, [["palm/loop", b"new"]]]
 
 
-def test_a_page_that_reads_nothing_holds_up_nobody(daemon, served):
+def test_a_page_that_does_not_read_delays_no_other(daemon, served):
     with served.page() as (stuck, _), served.page() as (page, _):
         speak_until_heard(daemon, page)
         big = {"h_m": [0.0] * 20_000}
-        for _ in range(30):  # more than all buffers on the way to the one that does not read
+        for _ in range(30):  # more than all buffers on the way to the page that does not read
             daemon.say("palm/shape", big)
             heard(page, "palm/shape")
         assert stuck.protocol.state.name == "OPEN"
@@ -355,26 +355,26 @@ def test_a_page_that_reads_nothing_holds_up_nobody(daemon, served):
 # ---------------------------------------------------------------------------------------------------- bad input
 
 
-def test_bad_input_is_told_in_one_line(capsys):
+def test_bad_input_is_a_one_line_error(capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = str(taken.getsockname()[1])
         assert main(["view", "--no-browser", "--port", port]) == 1
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert told.err.startswith(f"127.0.0.1:{port}: cannot be bound")
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err.count("\n")) == ("", 1)
+    assert captured.err.startswith(f"127.0.0.1:{port}: cannot be bound")
     for option in ("--address", "--command", "--truth"):
         assert main(["view", "--no-browser", "--port", "0", option, "nonsense"]) == 1
-        told = capsys.readouterr()
-        assert told.err.startswith("nonsense: not an address")
-        assert told.err.count("\n") == 1
+        captured = capsys.readouterr()
+        assert captured.err.startswith("nonsense: not an address")
+        assert captured.err.count("\n") == 1
     with pytest.raises(SystemExit) as usage:
         main(["view", "--port", "70000"])
     assert usage.value.code == 2
 
 
-def test_an_outline_of_a_stranger_ends_no_naming(daemon, served, monkeypatch, caplog):
+def test_an_invalid_outline_does_not_end_the_classification(daemon, served, monkeypatch, caplog):
     monkeypatch.setattr(naming, "PERIOD_S", 0.02)
     with served.page() as (page, _):
         t_end = time.monotonic() + PATIENCE_S
@@ -389,5 +389,5 @@ def test_an_outline_of_a_stranger_ends_no_naming(daemon, served, monkeypatch, ca
                     break
         else:
             pytest.fail("it named nothing any more")
-    told = [record.message for record in caplog.records if record.name == "palmd.view.server"]
-    assert told == ["the outline cannot be classified: palm/shape has no list h_sd_m"]
+    logged = [record.message for record in caplog.records if record.name == "palmd.view.server"]
+    assert logged == ["the outline cannot be classified: palm/shape has no list h_sd_m"]

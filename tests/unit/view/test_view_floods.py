@@ -1,4 +1,4 @@
-"""The live page's server under a flood: by what it takes on and lets go, not by the clock."""
+"""The live page's server under a flood: counts of accepted and rejected messages, independent of the clock."""
 
 import asyncio
 import contextlib
@@ -20,8 +20,8 @@ def knock(port):
     return one
 
 
-def told(page):
-    """What is wrong with the next order that is answered."""
+def next_error(page):
+    """The error of the next command that is answered."""
     return next(answers(page))["error"]
 
 
@@ -32,8 +32,8 @@ def is_shut(one):
         return True
 
 
-def test_strangers_keep_nobody_out(served):
-    """Ten times as many as may wait: the oldest have to go, a page that comes last is served."""
+def test_unauthenticated_connections_keep_nobody_out(served):
+    """Ten times as many as may wait: the oldest are closed, and a page that comes last is served."""
     with contextlib.ExitStack() as stack:
         strangers = [stack.enter_context(knock(served.port)) for _ in range(10 * module.MAX_PENDING)]
         with served.page() as (_, hello):
@@ -41,15 +41,15 @@ def test_strangers_keep_nobody_out(served):
         assert all(map(is_shut, strangers[: 9 * module.MAX_PENDING]))
 
 
-def test_a_page_is_no_stranger_any_more(served):
+def test_an_authenticated_page_is_not_counted_among_them(served):
     with served.page() as (page, _), contextlib.ExitStack() as stack:
         for _ in range(3 * module.MAX_PENDING):
             stack.enter_context(knock(served.port))
         assert answer(page, "hold")
 
 
-def test_a_pages_flood_of_orders_waits_in_no_queue_and_holds_up_no_stop(daemon, served, monkeypatch):
-    monkeypatch.setattr(command_client, "TIMEOUT_S", 1e3)  # of whoever is slow
+def test_a_pages_flood_of_commands_is_not_queued_and_delays_no_stop(daemon, served, monkeypatch):
+    monkeypatch.setattr(command_client, "TIMEOUT_S", 1e3)  # no timeout for slow machines
     daemon.take_commands()
     with served.page() as (flooding, _), served.page() as (other, _):
         until_commandable(flooding)
@@ -57,7 +57,7 @@ def test_a_pages_flood_of_orders_waits_in_no_queue_and_holds_up_no_stop(daemon, 
             flooding.send(json.dumps({"id": number, "cmd": "start"}))
         for number in range(3):
             flooding.send(json.dumps({"id": 1000 + number, "cmd": "stop"}))
-        said = [told(flooding) for _ in range(3)]
+        said = [next_error(flooding) for _ in range(3)]
         assert all("too many at once" in each for each in said)
         other.send(json.dumps({"id": 1, "cmd": "stop"}))
         came = []
@@ -65,12 +65,12 @@ def test_a_pages_flood_of_orders_waits_in_no_queue_and_holds_up_no_stop(daemon, 
             came.append(daemon.asked())
         assert [asked["cmd"] for _, asked in came] == ["start"] * module.MAX_ORDERS + ["stop", "stop"]
         assert daemon.asked(0.3) is None
-        for route, asked in came[-2:]:  # whichever page's came first
+        for route, asked in came[-2:]:  # in either order
             daemon.reply(route, id=asked["id"], ok=True)
-        assert told(other) is None
+        assert next_error(other) is None
 
 
-def test_an_answer_makes_room_for_the_next_order(daemon, served):
+def test_an_answer_makes_room_for_the_next_command(daemon, served):
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)
@@ -78,10 +78,10 @@ def test_an_answer_makes_room_for_the_next_order(daemon, served):
             page.send(json.dumps({"id": number, "cmd": "hold"}))
             route, asked = daemon.asked()
             daemon.reply(route, id=asked["id"], ok=True)
-            assert told(page) is None
+            assert next_error(page) is None
 
 
-def test_no_more_are_let_in_at_once_than_leave_time_for_the_frames(monkeypatch):
+def test_a_bounded_number_of_connections_is_accepted_at_once(monkeypatch):
     asked = {}
 
     def serve(*_, **how):

@@ -14,7 +14,7 @@ SCALE = JointScale(("phi1", "phi2"), "°", math.degrees(1.0))
 
 
 def drive(guard, rate_deg_s, reported, seconds=2.0, t=0.0):
-    """Joint 1 commanded at a constant rate; `reported(t, commanded)` in rad. When it was named (s), None if never."""
+    """Joint 1 commanded at a constant rate; `reported(t, commanded)` in rad. Time of detection (s), None if never."""
     rate = math.radians(rate_deg_s)
     t_begin = t
     while t < t_begin + seconds:
@@ -30,14 +30,14 @@ def drive(guard, rate_deg_s, reported, seconds=2.0, t=0.0):
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.0, 10.0, 45.0, 120.0])
-def test_an_arm_that_follows_with_an_error_of_its_lag_is_not_named(rate):
+def test_a_lag_within_the_following_error_limit_is_not_reported(rate):
     guard = FollowingGuard(LIMITS, SCALE)
     late = LIMITS.slope_s * math.radians(rate)
     assert drive(guard, rate, lambda t, c: c - late + math.radians(0.04) * math.sin(7.0 * t)) is None
 
 
 @pytest.mark.parametrize("rate", [2.0, 5.0, 10.0, 20.0, 45.0, 90.0, 120.0])
-def test_a_blocked_arm_is_named_within_300_ms_of_passing_the_limit_and_500_of_the_block(rate):
+def test_a_blocked_arm_is_reported_within_300_ms_of_the_limit_and_500_ms_of_the_block(rate):
     block = 0.5
     guard = FollowingGuard(LIMITS, SCALE)
     named = drive(guard, rate, lambda _t, c: min(c, math.radians(rate) * block))
@@ -49,15 +49,15 @@ def test_a_blocked_arm_is_named_within_300_ms_of_passing_the_limit_and_500_of_th
 
 
 @pytest.mark.parametrize("rate", [2.0, -2.0, 30.0])
-def test_an_encoder_that_is_mirrored_is_named_though_the_error_is_small(rate):
+def test_a_mirrored_encoder_is_reported_even_with_a_small_error(rate):
     guard = FollowingGuard(LIMITS, SCALE)
     assert drive(guard, rate, lambda _, c: -c) < 0.5
 
 
 @pytest.mark.parametrize("late_s", [0.01, 0.02, 0.04])
 @pytest.mark.parametrize("seed", range(5))
-def test_small_steps_by_hand_are_followed_though_the_host_is_late_now_and_then(late_s, seed):
-    def place(t):  # 0.4 s at 3 °/s there, 0.4 s at rest, and back
+def test_small_manual_steps_with_occasional_host_delays_are_not_reported(late_s, seed):
+    def place(t):  # 0.4 s forth at 3 °/s, 0.4 s at rest, and back
         phase = math.fmod(max(t, 0.0), 1.6)
         return math.radians(3.0) * (min(phase, 0.4) - min(max(phase - 0.8, 0.0), 0.4))
 
@@ -72,7 +72,7 @@ def test_small_steps_by_hand_are_followed_though_the_host_is_late_now_and_then(l
         assert not guard.reason
 
 
-def test_one_report_alone_is_not_believed():
+def test_a_single_report_is_not_enough():
     guard = FollowingGuard(LIMITS, SCALE)
     spoilt = []
 
@@ -83,19 +83,19 @@ def test_one_report_alone_is_not_believed():
     assert drive(guard, 20.0, reported) is None
 
 
-def test_a_joint_that_need_not_follow_is_not_judged():
+def test_a_joint_that_need_not_follow_is_not_tested():
     guard = FollowingGuard(LIMITS, SCALE, free=(0,))
     assert drive(guard, 30.0, lambda _t, _c: 0.0) is None
 
 
-def test_after_the_controller_has_paused_nothing_is_judged_for_a_while():
+def test_after_a_pause_of_the_controller_the_test_is_suspended():
     guard = FollowingGuard(LIMITS, SCALE)
     guard.suspend(0.0)
     named = drive(guard, 45.0, lambda _t, _c: 0.0)
     assert SETTLE_S <= named <= SETTLE_S + 2.5 * CYCLE
 
 
-def test_the_tool_has_a_limit_of_its_own():
+def test_the_tool_angle_has_its_own_limit():
     guard = FollowingGuard(FollowingLimits(1.0, 2.0, RATE, 0.1, (0.004, 0.024)), SCALE)
     still = (0.0, 1.0), (0.0, 1.0)
     for n in range(1, 3):

@@ -1,4 +1,4 @@
-"""The force guard, reading by reading."""
+"""The force guard on single readings."""
 
 from palmd.daemon.guards.force import ForceGuard
 from palmd.events import PadLift, PadSample
@@ -7,18 +7,18 @@ FULL = 2.54
 
 
 def readings(guard, force, n, pad=1, t=0.0):
-    """So many of one force (N), beyond the full scale saturated."""
+    """`n` readings of one force (N); beyond the full scale they are saturated."""
     for i in range(n):
         saturated = force >= FULL
-        told, at_least = (None, FULL) if saturated else (force, None)
-        guard.feed(PadSample(t + 0.01 * i, pad, 0.02, told, at_least=at_least))
+        reading, at_least = (None, FULL) if saturated else (force, None)
+        guard.feed(PadSample(t + 0.01 * i, pad, 0.02, reading, at_least=at_least))
 
 
 def codes(guard, under_way=True):
     return set(guard.conditions(under_way=under_way))
 
 
-def test_above_its_limit_a_pad_holds_and_above_half_as_much_again_stops():
+def test_a_pad_above_its_limit_holds_and_above_one_and_a_half_times_stops():
     guard = ForceGuard((1.0, 2.0), (1, 2))
     readings(guard, 0.9, 50)
     assert not codes(guard)
@@ -31,7 +31,7 @@ def test_above_its_limit_a_pad_holds_and_above_half_as_much_again_stops():
     assert "pad 2" not in guard.evidence()
 
 
-def test_saturation_counts_while_a_motion_is_under_way_within_half_a_second():
+def test_saturation_counts_during_a_motion_after_less_than_half_a_second():
     guard = ForceGuard((3.0,), (1,))
     readings(guard, 9.0, 10)
     assert codes(guard) == {"force-limit"}
@@ -45,7 +45,7 @@ def test_saturation_is_at_least_the_full_scale():
     assert codes(guard, under_way=False) == {"force-limit", "force-excess"}
 
 
-def test_what_has_left_the_pad_presses_no_more_and_a_pad_without_forces_is_not_judged():
+def test_a_lifted_pad_and_a_pad_without_forces_are_not_tested():
     guard = ForceGuard((1.0,), (1,))
     readings(guard, 1.5, 30)
     guard.feed(PadLift(1.0, 1))

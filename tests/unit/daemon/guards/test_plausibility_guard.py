@@ -1,4 +1,4 @@
-"""Which reports can be true."""
+"""Which arm reports are plausible."""
 
 import math
 
@@ -16,7 +16,7 @@ PEAK = [math.radians(45.0), 0.0]
 CYCLE = 0.016
 
 
-def test_three_reports_outside_the_workspace_are_named_with_the_pose():
+def test_three_reports_outside_the_workspace_are_reported_with_the_pose():
     guard = PlausibilityGuard(LIMITS, SCALE)
     for n in range(MOST_REPORTS):
         assert not guard.reason
@@ -25,7 +25,7 @@ def test_three_reports_outside_the_workspace_are_named_with_the_pose():
     assert "100.0 to 400.0 mm" in guard.reason
 
 
-def test_one_is_named_too_once_it_has_stood_for_100_ms():
+def test_a_single_report_counts_after_100_ms():
     guard = PlausibilityGuard(LIMITS, SCALE)
     guard.report(0.0, HERE, REACH, impossible="no palm angles")
     guard.look(0.09)
@@ -34,7 +34,7 @@ def test_one_is_named_too_once_it_has_stood_for_100_ms():
     assert "no palm angles" in guard.reason
 
 
-def test_a_jump_that_stays_is_named_after_three_reports():
+def test_a_lasting_jump_is_reported_after_three_reports():
     guard = PlausibilityGuard(LIMITS, SCALE)
     jump = (math.radians(7.0), 0.0)
     assert guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK)
@@ -43,7 +43,7 @@ def test_a_jump_that_stays_is_named_after_three_reports():
     assert "phi1 jumped by +7.00°" in guard.reason
 
 
-def test_a_jump_that_goes_is_not_named():
+def test_a_transient_jump_is_not_reported():
     guard = PlausibilityGuard(LIMITS, SCALE)
     plausible = [
         guard.report(n * CYCLE, HERE, REACH, errors=(0.1 if n % 5 == 4 else 0.0, 0.0), peak=PEAK) for n in range(30)
@@ -53,15 +53,15 @@ def test_a_jump_that_goes_is_not_named():
 
 
 @pytest.mark.parametrize(("twist_deg", "fits"), [(3.0, True), (11.0, False), (-90.0, False)])
-def test_a_tool_angle_that_does_not_follow_from_x_and_y_is_implausible(twist_deg, fits):
+def test_a_tool_angle_inconsistent_with_x_and_y_is_implausible(twist_deg, fits):
     guard = PlausibilityGuard(LIMITS, SCALE)
     guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK, twist=0.0)
     twist = math.radians(twist_deg)
     assert guard.report(CYCLE, HERE, REACH, errors=(0.0, 0.0), peak=PEAK, twist=twist) is fits
 
 
-def test_an_arm_that_stood_while_it_was_not_heard_has_not_jumped():
-    """Without set-points a controller holds: what was commanded meanwhile is missing in the next report."""
+def test_motion_during_a_silence_of_the_arm_is_no_jump():
+    """Without set-points a controller holds its position: motion commanded meanwhile is missing in the next report."""
     guard = PlausibilityGuard(LIMITS, SCALE)
     assert guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK)
     missed = 0.09 * PEAK[0]

@@ -1,4 +1,4 @@
-"""Whether the signs of pads are told from how contacts move as the palms open."""
+"""Wrong signs of pads are detected from how contacts move while the palms open and close."""
 
 import math
 
@@ -13,7 +13,7 @@ STRIP_ZERO = 0.0555
 
 
 def watched(signs, seed, seconds=6.0, zero=ZERO):
-    """A lopsided round body between palms that open and close by 8°, read with these signs by pads with that zero."""
+    """An eccentric round body between palms that open and close by 8°, read with these signs by pads with that zero."""
     rng = np.random.default_rng(seed)
     r1, r2 = rng.uniform(0.014, 0.026, 2)
     off, phase = rng.uniform(0.0, 0.004), rng.uniform(0.0, math.tau)
@@ -38,7 +38,7 @@ def watched(signs, seed, seconds=6.0, zero=ZERO):
 
 @pytest.mark.parametrize("zero", [ZERO, STRIP_ZERO])
 @pytest.mark.parametrize("seed", range(12))
-def test_both_signs_wrong_are_named_within_five_seconds(seed, zero):
+def test_two_wrong_signs_are_detected_within_five_seconds(seed, zero):
     watch, t_named = watched((-1, -1), seed, zero=zero)
     assert watch.wrong == (1, 2)
     assert t_named <= 5.0
@@ -46,7 +46,7 @@ def test_both_signs_wrong_are_named_within_five_seconds(seed, zero):
 
 @pytest.mark.parametrize("zero", [ZERO, STRIP_ZERO, -0.0015])
 @pytest.mark.parametrize("seed", range(12))
-def test_right_signs_are_never_doubted(seed, zero):
+def test_correct_signs_are_never_reported(seed, zero):
     watch, t_named = watched((1, 1), seed, 20.0, zero=zero)
     assert watch.wrong == ()
     assert t_named is None
