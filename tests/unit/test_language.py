@@ -15,9 +15,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 NOT_OURS = {"corpus", "axe-core"}  # stored outputs, a library
-MOST = 25
+MOST = 22
 """How many may be left in source and documentation; may only be lowered."""
-MOST_IN_TESTS = 35
+MOST_IN_TESTS = 19
 """The same in tests and tools, apart from this file."""
 
 PRIVATE = frozenset(
