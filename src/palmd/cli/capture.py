@@ -175,11 +175,11 @@ class Guide:
     def calibrate(self) -> None:
         """Calibrate both pads with one or two cylinders; the results are stored in the bundle."""
         _print("Step 2: calibrate the pads with cylinders. The palms move: hands off, one hand at the emergency stop.")
-        first, second = (f"{diameter_mm:g}" for diameter_mm, _ in CYLINDERS)
+        first, second = (f"{mm:g}" for mm, _ in CYLINDERS) if self._emulated else ("", "none")
         diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, self._diameter())
         other_mm = self._ask(
             "Diameter of a second cylinder, different by a third or more, or none: then the pads' height over the hinge"
-            " line stays unknown", second if self._emulated else "none",
+            " line stays unknown", second,
             or_word("none", math.nan, self._diameter(diameter_mm)),
         )  # fmt: skip
         self._begin_daemon()
