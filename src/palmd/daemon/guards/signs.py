@@ -28,6 +28,12 @@ OUTLINE_M = 4e-3
 
 Over whole turns of random objects of kind `rig` its RMS is 1.9 mm in the median and 3.8 mm at most.
 """
+CONTRADICTED_M = 5e-3
+"""RMS residual from which on the configured signs are contradicted: more than an outline causes.
+
+A wrong sign causes 10 to 50 mm after ten seconds of an exploration. An outline that turns slowly causes correlated
+residuals, whose odds are too high.
+"""
 
 LOG_ODDS = math.log(1e4)
 Signs = tuple[int, int]
@@ -37,7 +43,10 @@ _WRONG: tuple[Signs, ...] = ((-1, -1), (1, -1), (-1, 1))
 
 
 class SignWatch:
-    """`wrong` are the numbers of the pads with a wrong sign, empty unless the evidence exceeds `LOG_ODDS`."""
+    """`wrong` are the numbers of the pads with a wrong sign, empty unless the evidence exceeds `LOG_ODDS`.
+
+    Then also the configured signs must be contradicted by the size of the residual alone.
+    """
 
     def __init__(self, zeros_m: Sequence[float], middles_m: Sequence[float]) -> None:
         """`zeros_m`: position of each pad's count 0; `middles_m`: its middle. A wrong sign mirrors at one of them."""
@@ -78,13 +87,18 @@ class SignWatch:
         found = [(self._evidence(signs, mirrors), signs) for signs in _WRONG for mirrors in self._mirrors]
         evidence, signs = max(found)
         self.log_odds = evidence - self._evidence(_RIGHT, self._mirrors[0])
-        if self.log_odds > LOG_ODDS:
+        if self.log_odds > LOG_ODDS and self._variance(_RIGHT, self._mirrors[0]) > CONTRADICTED_M**2:
             self.wrong = tuple(pad for pad, sign in zip(PALMS, signs, strict=True) if sign < 0)
         elif self.log_odds < -LOG_ODDS:
             self.wrong = ()
 
     def _evidence(self, signs: Signs, mirrors: Sequence[float]) -> float:
         """Log evidence, up to a constant, of a line through readings mirrored at `mirrors` where `signs` are −1."""
+        variance = self._variance(signs, mirrors) + OUTLINE_M**2
+        return -0.5 * self._weight / CORRELATED_S * math.log(variance)
+
+    def _variance(self, signs: Signs, mirrors: Sequence[float]) -> float:
+        """Mean square (m²) of the residual of such a line."""
         mirrored = sum(2.0 * mirror for mirror, sign in zip(mirrors, signs, strict=True) if sign < 0)
         row = (0.0, mirrored, *signs)  # coefficients of y in the sums' factors
         sums = dict(zip(_PRODUCTS, self._sums, strict=True))
@@ -92,5 +106,4 @@ class SignWatch:
         xy = sum(row[j] * sums[0, j] for j in range(1, 4))
         yy = sum((2.0 if i < j else 1.0) * row[i] * row[j] * sums[i, j] for i, j in _PRODUCTS if i)
         slope = max(xy / xx, 0.0)
-        variance = max((yy - 2.0 * slope * xy + slope**2 * xx) / self._weight, 0.0) + OUTLINE_M**2
-        return -0.5 * self._weight / CORRELATED_S * math.log(variance)
+        return max((yy - 2.0 * slope * xy + slope**2 * xx) / self._weight, 0.0)
