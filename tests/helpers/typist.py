@@ -33,10 +33,13 @@ class Typist:
         self._process.communicate()
         os.close(self._far)
 
-    def until(self, text, within_s):
-        """Wait until it has said this, after what was waited for before."""
+    def until(self, text, within_s, *, unless=""):
+        """Wait until it has said this, after what was waited for before; to each question `unless`, Enter."""
         deadline = time.monotonic() + within_s
         while (at := self.said.find(text, self._seen)) < 0:
+            if unless and (asked := self.said.find(unless, self._seen)) >= 0:
+                self._seen = asked + len(unless)
+                self.type("")
             assert self._hear(deadline), f"it does not say {text!r}: {self.said[self._seen :]}"
         self._seen = at + len(text)
 
