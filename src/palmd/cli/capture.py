@@ -1,8 +1,8 @@
 """Guided first recording of a rig: checks it, calibrates the pads, records objects, and bundles the results.
 
 It runs the daemon and the recorder itself. Each prompt says what to do, and what to do if it fails; Enter accepts the
-value in brackets. Keep a hand at the emergency stop. `palmd reconstruct BUNDLE` compares the estimates with the caliper
-measurements.
+value in brackets. Keep a hand at the emergency stop. Ctrl-C ends it; after the calibration `--resume` continues it.
+`palmd reconstruct BUNDLE` compares the estimates with the caliper measurements.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import datetime
 import itertools
 import math
 import re
+import signal
 import sys
 import tempfile
 import time
@@ -25,15 +26,17 @@ import yaml
 
 from palmd.calibration import pads as pads_calibration
 from palmd.calibration import standoff as standoff_calibration
+from palmd.calibration.cylinder import CylinderError, turning_plan
 from palmd.calibration.cylinder_session import progress_line, wait_for_touch, wait_until_removed
+from palmd.calibration.pad_standoff import MIN_RATIO
 from palmd.cli.build import prepare_kernels
-from palmd.cli.capture_bundle import Bundle, with_pads
+from palmd.cli.capture_bundle import CONFIGURATION, PLAN, Bundle, with_pads
 from palmd.cli.init import YES_OR_NO, Prompt, ask, number, or_word
 from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import count, seed
 from palmd.console.configured import configured, default_path
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError, as_cli_error
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
 from palmd.harness.operator import PlanRun, Status, why
@@ -71,7 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--objects", type=count, default=OBJECTS, metavar="N", help="number of objects to record (default: %(default)s)"
     )
     add("--zip", action="store_true", help="also pack the bundle into BUNDLE.zip")
-    add("--emulated", action="store_true",
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--resume", type=Path, metavar="BUNDLE", help="continue a capture that ended early")
+    which.add_argument("--emulated", action="store_true",
         help="use an emulated rig, which answers the prompts; its truth replaces the calipers")  # fmt: skip
     add("--seed", type=seed, default=0, metavar="N", help="seed of the emulated rig (default: %(default)s)")
 
@@ -79,25 +84,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Create a bundle; CliError if the input is wrong, the rig fails, or the user gives up."""
     t_start = time.monotonic()
-    config = configured(shipped("tabletop.yaml") if arguments.emulated and not arguments.config
-                        else default_path(arguments.config))  # fmt: skip
-    plan = _plan(arguments.plan or config.plan, config)
-    bundle = Bundle(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
+    config, plan, bundle = _resumed(arguments) if arguments.resume else _begun(arguments)
     prepare_kernels(config, _print)
     alone = config.model_copy(update={"bus": BusConfig()})
-    with (
-        tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder,
-        Stack(Path(folder), alone, notify=_print) as stack,
-    ):
-        guide = Guide(stack, alone, plan, bundle, arguments.seed if arguments.emulated else None)
-        guide.check(config)
-        guide.calibrate()
-        rows = [guide.record(number) for number in range(1, arguments.objects + 1)]
-    bundle.finish(guide.config, plan, rows, emulated=arguments.emulated)
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder,
+            Stack(Path(folder), alone, notify=_print) as stack,
+        ):
+            guide = Guide(stack, alone, plan, bundle, arguments.seed if arguments.emulated else None)
+            guide.take(config, arguments.objects)
+    except (CliError, KeyboardInterrupt):
+        if bundle.calibrated and not arguments.emulated:
+            _print(f"\nTo continue: palmd record capture --resume {bundle.folder} --objects {arguments.objects}")
+        raise
     _print(f"took {(time.monotonic() - t_start) / 60.0:.1f} min")
     _print(f"next: palmd reconstruct {bundle.folder} -o {bundle.folder}/result.json")
     print(bundle.pack() if arguments.zip else bundle.folder)
     return 0
+
+
+def _begun(arguments: argparse.Namespace) -> tuple[Config, Path, Bundle]:
+    """Return configuration, plan and bundle of a new capture."""
+    config = configured(shipped("tabletop.yaml") if arguments.emulated and not arguments.config
+                        else default_path(arguments.config))  # fmt: skip
+    plan = _plan(arguments.plan or config.plan, config)
+    return config, plan, Bundle(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
+
+
+def _resumed(arguments: argparse.Namespace) -> tuple[Config, Path, Bundle]:
+    """Return configuration, plan and bundle of a capture that ended early."""
+    if arguments.config or arguments.output or arguments.plan:
+        raise CliError(USAGE, "--resume uses the configuration and plan of the bundle: omit CONFIG, -o and --plan")
+    bundle = Bundle.resumed(arguments.resume)
+    config = configured(bundle.folder / CONFIGURATION)
+    return config, _plan(bundle.folder / PLAN, config), bundle
 
 
 def _plan(path: Path | None, config: Config) -> Path:
@@ -117,7 +138,7 @@ class Guide:
     def __init__(self, stack: Stack, config: Config, plan: Path, bundle: Bundle, seed: int | None) -> None:
         self.config = config
         self._stack, self._bundle, self._seed = stack, bundle, seed
-        self._plan = _read(plan)
+        self._plan_path, self._plan = plan, _read(plan)
         self._body: dict[str, Any] = {}
 
     @property
@@ -125,6 +146,22 @@ class Guide:
         return self._seed is not None
 
     # -- steps ------------------------------------------------------------------------------------------------
+
+    def take(self, own: Config, objects: int) -> None:
+        """Execute all steps that the bundle does not contain yet; `own`: see `check`."""
+        for each in self._bundle.unmeasured:
+            _print(f"Object {each.number}, {each.name}, is recorded but not measured.")
+            self._bundle.add(self._measured(each.name, each.run))
+        rest = range(max((each.number for each in self._bundle.recorded), default=0) + 1, objects + 1)
+        if not rest:
+            return
+        self.check(own)
+        if not self._bundle.calibrated:
+            self.calibrate()
+            self._begin_rig()
+        self._begin_daemon()
+        for index in rest:
+            self.record(index)
 
     def check(self, own: Config) -> None:
         """Run `palmd doctor` and store its findings; `own` has the address of a daemon that may already run."""
@@ -136,13 +173,14 @@ class Guide:
         self._retry(self._examine, "fix the findings; each line says how")
 
     def calibrate(self) -> None:
-        """Calibrate both pads with one or two cylinders and restart the daemon with the results."""
+        """Calibrate both pads with one or two cylinders; the results are stored in the bundle."""
         _print("Step 2: calibrate the pads with cylinders. The palms move: hands off, one hand at the emergency stop.")
-        first, second = (f"{diameter_mm:g}" for diameter_mm, _ in CYLINDERS)
-        diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, number(2, 200))
+        first, second = (f"{mm:g}" for mm, _ in CYLINDERS) if self._emulated else ("", "none")
+        diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, self._diameter())
         other_mm = self._ask(
             "Diameter of a second cylinder, different by a third or more, or none: then the pads' height over the hinge"
-            " line stays unknown", second if self._emulated else "none", or_word("none", math.nan, number(2, 200)),
+            " line stays unknown", second,
+            or_word("none", math.nan, self._diameter(diameter_mm)),
         )  # fmt: skip
         self._begin_daemon()
         arguments = argparse.Namespace(
@@ -161,12 +199,26 @@ class Guide:
         self._retry(calibrated, "clean cylinder and pads, lay the cylinder across both, and remove everything else")
         name = "pads.yaml" if math.isnan(other_mm) else standoff_calibration.FILE
         self.config = with_pads(self.config, _read(self._bundle.calibration / name)["configuration"])
+        self._bundle.begin(self.config, self._plan_path, emulated=self._emulated)
         _print("The results are used from now on; nothing has to be written by hand.")
         if not self._emulated:
             there = self.config.model_copy(update={"bus": self._stack.bus})
-            wait_until_removed(arguments, there, "the last cylinder")
-        self._begin_rig()
-        self._begin_daemon()
+            self._retry(partial(wait_until_removed, arguments, there, "the last cylinder"), "remove the cylinder")
+
+    def _diameter(self, other_mm: float | None = None) -> Callable[[str], float]:
+        """Reader of the diameter of a cylinder that the palms can turn and that differs enough from the other one."""
+
+        def read(answer: str) -> float:
+            diameter_mm = number(2, 200)(answer)
+            if other_mm and max(diameter_mm, other_mm) < MIN_RATIO * min(diameter_mm, other_mm):
+                raise ValueError(f"at most {other_mm / MIN_RATIO:.1f} or at least {other_mm * MIN_RATIO:.1f}, or none")
+            try:
+                turning_plan(diameter_mm * 5e-4, motion_limits(self.config))
+            except CylinderError as error:
+                raise ValueError(f"one that the palms can turn: {error}") from None
+            return diameter_mm
+
+        return read
 
     def _exchanged(self, arguments: argparse.Namespace, config: Config, cylinder: str) -> None:
         if self._emulated:
@@ -174,13 +226,15 @@ class Guide:
         else:
             wait_until_removed(arguments, config, cylinder)
 
-    def record(self, index: int) -> Measured:
+    def record(self, index: int) -> None:
         """Record one object during the plan, then ask for its caliper measurements."""
         _print(f"Step {2 + index}: object {index}. The palms move: hands off, one hand at the emergency stop.")
         name = self._ask("Its name, one word", f"object-{index}", _word)
         mend = "put the object back across both pads; a lighter or rounder one, or a slower plan, is easier"
-        within = self._bundle.take_run(self._retry(lambda: self._recorded(name), mend), f"{index}-{name}")
-        return self._measured(name, within)
+        path = self._retry(lambda: self._recorded(name), mend)
+        with StopRequest():  # Ctrl-C does not interrupt the copy
+            within = self._bundle.take_run(path, f"{index}-{name}")
+        self._bundle.add(self._measured(name, within))
 
     def _measured(self, name: str, path: str) -> Measured:
         if self._emulated:
@@ -232,9 +286,8 @@ class Guide:
         if self._emulated:
             stack.ask_rig("new_object")
         stack.start_recorder()
-        paths: list[Path] = []
-        try:
-            with StopRequest() as stop:
+        with StopRequest() as stop:  # until the recording is packed
+            try:
                 wait_for_touch(stack.subscriber, stack.bus.publish, stop, name)
                 operation = PlanRun(
                     stack.client, self._listen, lambda _status, seconds: f"ended after {seconds:.0f} s",
@@ -247,8 +300,8 @@ class Guide:
                     operation.end()
                 if stop.made:
                     raise CliError(RIG_FAILED, "stopped by the operator")
-        finally:
-            paths = stack.recorded(PACKED_S)
+            finally:
+                paths = stack.recorded(PACKED_S)
         if len(paths) != 1:
             raise CliError(RIG_FAILED, f"the recorder left {len(paths)} recordings instead of one")
         return paths[0]
@@ -264,9 +317,16 @@ class Guide:
         return read(default) if self._emulated else ask(Prompt(text, default, read), "capture")
 
     def _confirm_resume(self, status: Status) -> bool:
-        """Whether held palms may move again; CliError if the user says no."""
+        """Whether held palms may move again; CliError if the user says no or presses Ctrl-C."""
         text = f"The palms are held: {why(status)}\nFix the cause, hands off; then continue, yes or no"
-        if self._ask(text, "yes", YES_OR_NO) == "no":
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a `StopRequest` would wait for the answer
+        try:
+            answer = self._ask(text, "yes", YES_OR_NO)
+        except KeyboardInterrupt:
+            answer = "no"
+        finally:
+            signal.signal(signal.SIGINT, before)
+        if answer == "no":
             raise CliError(RIG_FAILED, f"stopped by the user while held: {why(status)}")
         return True
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import yaml
 
 from palmd.config.two_palms import Config
-from palmd.console.errors import BAD_INPUT, CliError
-from palmd.record.calipers import TRUTH, Measured, as_csv
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error
+from palmd.record.calipers import TRUTH, CaliperError, Measured, as_csv, read_table
 
 CONFIGURATION, PLAN, RUNS, PHOTOS, CALIBRATION, FINDINGS = (
     "palmd.yaml", "plan.yaml", "runs", "photos", "calibration", "doctor.txt",
 )  # fmt: skip
-_README = """palmd capture: {count} objects, {kind}.
+_README = """palmd capture, {kind}.
 
 palmd.yaml    the rig's calibrated configuration; plan.yaml: the motion
 calibration/  results of the calibration with cylinders; doctor.txt: findings before it
@@ -27,11 +28,23 @@ palmd reconstruct . -o result.json    estimates each object and compares it with
 """
 
 
+class Recorded(NamedTuple):
+    """A recorded object: number, name, and path of the recording within the bundle."""
+
+    number: int
+    name: str
+    run: str
+
+
 class Bundle:
-    """A new bundle folder; CliError if it is not empty or cannot be created."""
+    """A new bundle folder; CliError if it is not empty or cannot be created.
+
+    Each result is written as soon as it exists, so that a capture that ends early can be resumed.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._rows: list[Measured] = []
         try:
             if folder.exists() and any(folder.iterdir()):
                 raise CliError(BAD_INPUT, f"{folder} is not empty: name another folder with -o")
@@ -39,6 +52,34 @@ class Bundle:
                 (folder / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise CliError(BAD_INPUT, f"{folder}: {error.strerror}") from None
+
+    @classmethod
+    def resumed(cls, folder: Path) -> Self:
+        """The bundle of a capture that ended early; CliError if there is none, or it ended before the calibration."""
+        bundle = cls.__new__(cls)
+        bundle.folder = folder
+        if not bundle.calibrated:
+            raise CliError(BAD_INPUT, f"{folder}: has no {CONFIGURATION}, so the pads are not calibrated: begin again")
+        with as_cli_error(CaliperError):
+            bundle._rows = read_table(folder) if (folder / TRUTH).exists() else []
+        return bundle
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the calibration is complete."""
+        return (self.folder / CONFIGURATION).is_file()
+
+    @property
+    def recorded(self) -> list[Recorded]:
+        """The recorded objects in the order of their numbers."""
+        found = (re.fullmatch(r"(\d+)-(.+)\.mcap", path.name) for path in (self.folder / RUNS).iterdir())
+        return sorted(Recorded(int(each[1]), each[2], f"{RUNS}/{each[0]}") for each in found if each)
+
+    @property
+    def unmeasured(self) -> list[Recorded]:
+        """The recorded objects without caliper measurements."""
+        measured = {row.run for row in self._rows}
+        return [each for each in self.recorded if each.run not in measured]
 
     @property
     def calibration(self) -> Path:
@@ -55,15 +96,19 @@ class Bundle:
         shutil.move(path, self.folder / within)
         return str(within)
 
-    def finish(self, config: Config, plan: Path, rows: Sequence[Measured], *, emulated: bool) -> None:
-        """Write plan, configuration, caliper table and README."""
+    def begin(self, config: Config, plan: Path, *, emulated: bool) -> None:
+        """Write plan, README and, last, the calibrated configuration."""
         shutil.copyfile(plan, self.folder / PLAN)
+        kind = "emulated rig, its own truth in place of calipers" if emulated else "measured by hand"
+        (self.folder / "README").write_text(_README.format(kind=kind), encoding="utf-8")
         values = written(config) | {"plan": PLAN, "record": {"directory": RUNS}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         (self.folder / CONFIGURATION).write_text(text, encoding="utf-8")
-        (self.folder / TRUTH).write_text(as_csv(rows), encoding="utf-8")
-        kind = "emulated rig, its own truth in place of calipers" if emulated else "measured by hand"
-        (self.folder / "README").write_text(_README.format(count=len(rows), kind=kind), encoding="utf-8")
+
+    def add(self, row: Measured) -> None:
+        """Write an object's measurements into the caliper table."""
+        self._rows.append(row)
+        (self.folder / TRUTH).write_text(as_csv(self._rows), encoding="utf-8")
 
     def pack(self) -> Path:
         """Create a zip file of the bundle beside it."""

@@ -137,6 +137,8 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield f"palm{palm}", Prompt(f"Length of palm {palm} in mm", length, number(10, 2000))
     yield "tilt", Prompt("Tilt of the palms' plane from the horizontal in degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
+    yield "vibrate", Prompt("Does a shaker or vibration motor on each palm vibrate it along itself, yes or no", "no",
+                            YES_OR_NO)  # fmt: skip
 
 
 def _array_questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
@@ -159,6 +161,7 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     rig: dict[str, Any] = {}
     if answers["tilt"] != 90.0:
         rig["gravity_m_s2"] = round(STANDARD_GRAVITY * math.sin(math.radians(answers["tilt"])), 4)
+    rig["vibration"] = {"relation": "independent" if answers["vibrate"] == "yes" else "none"}
     arm: dict[str, Any] = {"kind": answers["arm"], "port": answers["port"]}
     if answers["arm"] != "adept":
         rig["hinge"] = "fixed"

@@ -39,7 +39,8 @@ def test_a_bundle_loads_again_with_its_calibration_and_plan(tmp_path):
     run.write_bytes(b"run")
     assert bundle.take_run(run, "1-stone") == STONE.run
     config = with_pads(load_config(TABLETOP), {"palm1": {"zero_mm": 2.6, "scale_sd": 0.002}})
-    bundle.finish(config, EXPLORE, [STONE], emulated=False)
+    bundle.begin(config, EXPLORE, emulated=False)
+    bundle.add(STONE)
     loaded: Config = load_config(bundle.folder / "palmd.yaml")
     assert (loaded.pads.palm1.zero_mm, loaded.pads.palm1.scale_sd, loaded.pads.palm2.zero_mm) == (2.6, 0.002, 2.5)
     assert (loaded.plan, loaded.record.directory) == (bundle.folder / "plan.yaml", bundle.folder / "runs")
@@ -81,6 +82,54 @@ def test_calipers_are_asked_for_and_an_implausible_answer_is_asked_again(monkeyp
     assert (row.largest_mm, row.smallest_mm, row.photo) == (44.0, 36.5, "stone.jpg")
     assert row.mass_g != row.mass_g
     assert "a number from 1 to 44" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("similar", ["40", "60"])
+def test_cylinders_that_cannot_calibrate_are_asked_again(monkeypatch, tmp_path, capsys, similar):
+    one = guide(monkeypatch, tmp_path, "4", "48", similar, "30")
+    assert one._ask("First", "", one._diameter()) == 48.0
+    assert "the palms can turn" in capsys.readouterr().err
+    assert one._ask("Second", "", one._diameter(48.0)) == 30.0
+    assert "at most 36.9 or at least 62.4" in capsys.readouterr().err
+
+
+def interrupted(folder, *runs):
+    """A bundle whose capture ended after these recordings, with the first one measured."""
+    bundle = Bundle(folder)
+    bundle.begin(load_config(TABLETOP), EXPLORE, emulated=False)
+    for run in runs:
+        (folder / "runs" / f"{run}.mcap").write_bytes(b"run")
+    bundle.add(STONE)
+    return folder
+
+
+def test_a_resumed_capture_asks_for_what_was_not_measured(monkeypatch, tmp_path, capsys):
+    folder = interrupted(tmp_path / "bundle", "10-knob", "1-stone")
+    monkeypatch.setattr("sys.stdin", io.StringIO("30\n28\n90.5\n\n"))
+    assert main(["record", "capture", "--resume", str(folder), "--objects", "10"]) == 0
+    assert capsys.readouterr().out.strip() == str(folder)
+    rows = read_table(folder)
+    assert [(row.name, row.run) for row in rows] == [("stone", STONE.run), ("knob", "runs/10-knob.mcap")]
+    assert (rows[1].largest_mm, rows[1].smallest_mm, rows[1].mass_g, rows[1].photo) == (30.0, 28.0, 90.5, "knob.jpg")
+
+
+def test_a_capture_that_ends_among_the_questions_says_how_it_goes_on(monkeypatch, tmp_path, capsys):
+    folder = interrupted(tmp_path / "bundle", "1-stone", "2-knob")
+    monkeypatch.setattr("sys.stdin", io.StringIO("30\n"))
+    assert main(["record", "capture", "--resume", str(folder)]) == 1
+    assert f"palmd record capture --resume {folder}" in capsys.readouterr().err
+    assert [row.name for row in read_table(folder)] == ["stone"]
+
+
+def test_what_cannot_be_resumed_is_refused(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert main(["record", "capture", "--resume", str(tmp_path / "empty")]) == 1
+    assert "not calibrated" in capsys.readouterr().err
+    folder = interrupted(tmp_path / "bundle", "1-stone")
+    assert main(["record", "capture", str(TABLETOP), "--resume", str(folder)]) == 2
+    (folder / "truth.csv").write_text("name\nstone\n")
+    assert main(["record", "capture", "--resume", str(folder)]) == 1
+    assert "truth.csv:2: column run is missing" in capsys.readouterr().err
 
 
 def test_a_bundle_without_a_caliper_table_cannot_be_compared(tmp_path, capsys):

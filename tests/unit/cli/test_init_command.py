@@ -14,9 +14,9 @@ def init(monkeypatch, path, lines, *arguments):
     return main(["init", str(path), *arguments])
 
 
-def lines(pads, arm, tilt="90"):
+def lines(pads, arm, tilt="90", vibrate=""):
     of_pads = {"evdev": ["20", "y"], "strip": ["3", "73.5"], "taxels": ["text", "20", "4", "3.5", "2"]}.get(pads, [])
-    return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", "100", "110", tilt]
+    return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", "100", "110", tilt, vibrate]
 
 
 @pytest.mark.parametrize(
@@ -49,14 +49,14 @@ def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
     [(["tsf85", "7", "", ""], (7, 4)), (["tsf85", "", "", ""], (14, 4)), (["st0001", "20", "", ""], (20, 3))],
 )
 def test_an_array_has_the_columns_of_its_protocol(monkeypatch, tmp_path, answers, size):
-    typed = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", ""]
+    typed = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", "", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
     array = load_config(tmp_path / "my.yaml").pads.palm2
     assert (array.rows, array.columns) == size
 
 
 def test_impossible_numbers_of_rows_are_asked_again(monkeypatch, tmp_path, capsys):
-    typed = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", ""]
+    typed = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", "", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
     assert "it must be one of 7, 14" in capsys.readouterr().err
 
@@ -68,13 +68,19 @@ def test_enter_accepts_the_default(monkeypatch, tmp_path):
     assert config.rig.gravity_m_s2 == 9.81
 
 
+@pytest.mark.parametrize(("answer", "relation"), [("", "none"), ("yes", "independent")])
+def test_friction_is_dry_unless_something_vibrates_the_palms(monkeypatch, tmp_path, answer, relation):
+    assert init(monkeypatch, tmp_path / "my.yaml", lines("strip", "dynamixel", vibrate=answer)) == 0
+    assert load_config(tmp_path / "my.yaml").rig.vibration.relation == relation
+
+
 def test_a_tilted_table_has_less_gravity(monkeypatch, tmp_path):
     init(monkeypatch, tmp_path / "my.yaml", lines("strip", "dynamixel", tilt="30"))
     assert load_config(tmp_path / "my.yaml").rig.gravity_m_s2 == pytest.approx(4.905)
 
 
 def test_a_bad_answer_is_asked_again_with_the_reason(monkeypatch, tmp_path, capsys):
-    answers = ["pads", "s", "/dev/a", "/dev/b", "", "", "d", "/dev/c", "", "", "steep", "200", "45"]
+    answers = ["pads", "s", "/dev/a", "/dev/b", "", "", "d", "/dev/c", "", "", "steep", "200", "45", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     said = capsys.readouterr().err
     assert "it must be one of versapad, strip, evdev" in said
@@ -104,7 +110,7 @@ def test_it_ends_when_its_input_ends(monkeypatch, tmp_path, capsys):
 
 
 def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch, tmp_path, capsys):
-    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90"]
+    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
     assert "does not sense plastic" in capsys.readouterr().err
