@@ -43,7 +43,7 @@ class Hand:
         self._client, self._truth = Client(rig.found["control"]), rig.found["truth"]
 
     def take_out(self):
-        self._client.do("mischief", name="lift")
+        self._client.do("inject", name="lift")
 
     def put_next(self):
         self._client.ask("calm", name="lift")
