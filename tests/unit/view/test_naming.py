@@ -37,7 +37,7 @@ def test_a_fully_covered_nut_is_a_hexagon_with_its_object_number() -> None:
 
 
 def test_half_a_nut_has_no_shape_class() -> None:
-    assert shape_class_of(latest(coverage=0.5))["said"] == ""
+    assert shape_class_of(latest(coverage=0.5))["text"] == ""
 
 
 @pytest.mark.parametrize("without", [ESTIMATE.name, SHAPE.name])

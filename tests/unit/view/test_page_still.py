@@ -173,6 +173,11 @@ def opened(page, bus, messages):
     return page
 
 
+def test_fields_of_an_old_recording_are_read_under_their_former_names(still, bus):
+    opened(still, bus, rig_of(2) | {"palm/rig": {"off": ["pad 1's zero seems off: calibrate"]}})
+    still.until(lambda: still.text("notice-count") == "1: 1 rig", "the deviation")
+
+
 def test_a_system_without_jogging_has_no_jog_pad(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)
