@@ -299,12 +299,12 @@ class Bench(Stack):
         start = self.motion["phi1_rad"]
         self.until(
             lambda heard: (
-                self._restart_motion() or (heard.state == "tracking" and abs(self.motion["phi1_rad"] - start) > 0.02)
+                self.restart_motion() or (heard.state == "tracking" and abs(self.motion["phi1_rad"] - start) > 0.02)
             ),
             "the palms moving",
         )
 
-    def _restart_motion(self):
+    def restart_motion(self):
         """Resumes after a hold or a fault caused by a stall of the rig itself; returns nothing."""
         if self.heard.state in ("hold", "fault") and self._touches() and self.stalled():
             self._begin()

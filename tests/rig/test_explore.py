@@ -31,7 +31,7 @@ def explore(bench):
 
 def until(bench, condition, what):
     """As the bench's own; resumes after holds and faults caused by a slow machine."""
-    bench.until(lambda heard: bench._forgiven() or condition(heard), what)
+    bench.until(lambda heard: bench.restart_motion() or condition(heard), what)
 
 
 def coverage(bench):
