@@ -33,8 +33,8 @@ from palmd.view.library import LibraryError, RunLibrary
 log = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-FRAME_S = 1 / 30  # period of batches; the page draws one picture for each
-HEARTBEAT_FRAMES = 15  # a batch is sent at least this often, even without messages
+FRAME_S = 1 / 15  # period of batches; the page draws one picture for each, and its load is proportional to that
+HEARTBEAT_FRAMES = 7  # a batch is sent at least this often, even without messages
 HELLO_S = 5.0
 CLOSING_S = 1.0
 MESSAGE_BYTES_MAX = 4096

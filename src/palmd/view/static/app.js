@@ -15,7 +15,7 @@ import { element, put, set } from "./text.js";
 import { chooseTheme, onColours } from "./theme.js";
 import { Timeline } from "./timeline.js";
 
-// Period of updates of buttons and texts: each third picture
+// Period of updates of buttons and texts: each second picture
 const UPDATE_MS = 95;
 const UPDATE_WITHOUT_PICTURE_MS = 130;
 // The numbers change at every third update, as each change costs a layout
@@ -28,7 +28,8 @@ layOut();
 const store = new Store();
 // Whether the picture is out of date
 let dirty = true;
-const redraw = () => (dirty = true);
+let requested = false; // a frame of the display
+let view = "live";
 const scene = new Scene(document.getElementById("scene"), redraw);
 const byName = (...names) => Object.fromEntries(names.map((name) => [name, document.getElementById(`window-${name}`)]));
 const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "label"), (fraction) => strips.point(fraction));
@@ -74,7 +75,6 @@ const library = (command, args, onAnswer, ms) => commands.give(command, args, on
 const log = new Console();
 const runs = opening(() => import("./runs.js"), ({ Runs }) => new Runs(library));
 const configuration = opening(() => import("./configuration.js"), ({ Configuration: View }) => new View(library));
-let view = "live";
 const tabs = new Tabs(document.getElementById("tabs"), opened);
 
 /** A function that loads and makes a view when it is first called. */
@@ -92,9 +92,21 @@ async function opened(name) {
   if (name === "configuration") (await configuration()).show();
 }
 
+/** Marks the picture as out of date; called for each batch, so that the server's rate of batches limits the pictures. */
+function redraw() {
+  dirty = true;
+  if (view === "live") request();
+}
+
+/** Requests one frame: idle frames cost the browser as much as the texts. */
+function request() {
+  if (!requested) requestAnimationFrame(frame);
+  requested = true;
+}
+
 /** A frame of the display. Texts are updated together with a picture if possible, as the browser composes both at once. */
 function frame(now) {
-  requestAnimationFrame(frame); // always: restarting the frames would cost more than idle ones
+  requested = false;
   const pictured = dirty && view === "live" && !(calm.matches && now - drawnAt < CALM_MS);
   if (pictured) draw(now);
   if (now - updatedAt < (pictured ? UPDATE_MS : UPDATE_WITHOUT_PICTURE_MS)) return;
@@ -107,7 +119,7 @@ function draw(now) {
   frames.push(now);
   drawnAt = now;
   scene.draw(store, drawnAt);
-  strips.draw(store, calm.matches ? strips.length : 1, drawnAt);
+  strips.draw(store, drawnAt);
 }
 
 function update() {
@@ -167,4 +179,7 @@ chooseTheme(document.getElementById("theme"));
 setInterval(() => {
   document.getElementById("scene").setAttribute("aria-label", describe(store));
 }, DESCRIBE_MS);
-requestAnimationFrame(frame);
+setInterval(() => {
+  if (performance.now() - updatedAt >= UPDATE_WITHOUT_PICTURE_MS) request();
+}, UPDATE_WITHOUT_PICTURE_MS);
+request();

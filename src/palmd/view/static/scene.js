@@ -193,7 +193,7 @@ export class Scene {
     context.globalAlpha = estimate.valid ? 1 : 0.45;
     context.fillStyle = colours["estimate-fill"];
     context.fill(this.#paths.body);
-    context.lineCap = "round";
+    context.lineCap = context.lineJoin = "round";
     this.#paths.arcs.forEach((path, error) => {
       context.strokeStyle = colours[`error${error}`];
       context.lineWidth = this.thin(WIDTHS[error]);
@@ -415,14 +415,16 @@ function known(fields, ...names) {
   return names.every((name) => Number.isFinite(fields[name]));
 }
 
-/** The parts of the outline by class of standard deviation, the smallest first. */
+/** The parts of the outline by class of standard deviation, the smallest first; each part is one line, which is quick to draw. */
 function arcs(points, sds) {
   const paths = [...CLASSES_M, Infinity].map(() => new Path2D());
   const count = sds.length;
+  let path = null;
   for (let i = 0; i < count; i++) {
     const next = (i + 1) % count;
-    const path = paths[classOf(Math.max(sds[i], sds[next]))];
-    path.moveTo(...place(points, i, 0));
+    const before = path;
+    path = paths[classOf(Math.max(sds[i], sds[next]))];
+    if (path !== before) path.moveTo(...place(points, i, 0));
     path.lineTo(...place(points, next, 0));
   }
   return paths;

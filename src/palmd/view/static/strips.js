@@ -13,15 +13,13 @@ const STEPS = [1, 2, 5, 10];
 // A narrower selection is a click
 const SELECTED_PX = 8;
 const CURSORS = "strips"; // key of the shared cursor
-// Shortest period of redrawing each plot
-const ROUND_MS = 100;
+// Period of redrawing the plots, all in one picture: others then change only the scene
+const ROUND_MS = 190;
 
 export class Strips {
   #groups = [];
   #strips;
-  #turn = 0;
-  // Start of the current round, ms
-  #roundStart = -Infinity;
+  #drawnAt = -Infinity; // ms
   #timeline;
 
   constructor(container, timeline, store) {
@@ -45,21 +43,12 @@ export class Strips {
     for (const { figure } of this.#strips) watcher.observe(figure);
   }
 
-  /** Draws the next `count` visible plots at `now` (ms); all at once would take a whole frame. */
-  draw(store, count, now) {
+  /** Draws the visible plots at `now` (ms) if the last time is long enough ago. */
+  draw(store, now) {
+    if (now - this.#drawnAt < ROUND_MS) return;
+    this.#drawnAt = now;
     this.#timeline.reach(Math.min(store.estimates.oldest, store.run.oldest), store.estimates.newest);
-    const shown = this.#strips.filter((strip) => strip.inView && !strip.hidden);
-    for (let i = 0; i < Math.min(count, shown.length); i++) {
-      if (this.#turn >= shown.length) {
-        if (now - this.#roundStart < ROUND_MS) return;
-        [this.#turn, this.#roundStart] = [0, now];
-      }
-      shown[this.#turn++].draw(store);
-    }
-  }
-
-  get length() {
-    return this.#strips.length;
+    for (const strip of this.#strips) if (strip.inView && !strip.hidden) strip.draw(store);
   }
 
   /** Shows the strips of the system of the current estimate. */
