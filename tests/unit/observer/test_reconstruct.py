@@ -347,7 +347,7 @@ def test_a_window_that_ends_beyond_an_unstable_pose_is_shortened():
     ],
 )
 def test_an_unlikely_result_is_searched_for_again_without_its_beginning(kind, seed, seconds, left_out):
-    """After two hasty releases the first minimum is an unlikely and wrong object; another object is unlikely but right."""
+    """After two hasty releases the first minimum is an unlikely, wrong object; another object is unlikely but right."""
     body, surface = sbc.drawn_from_prior(kind, seed)
     log, truth = calibrated_run(kind, seed, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < seconds], log.rig)
