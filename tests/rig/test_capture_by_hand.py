@@ -127,7 +127,7 @@ def measured(terminal, hand, wrong=()):
 
 def test_three_objects_by_hand_with_slips_and_interruptions_are_all_in_the_bundle(tmp_path, rig_with):
     rig = rig_with()
-    hand, bundle, plan = Hand(rig), Bundle(tmp_path / "bundle"), tmp_path / "short.yaml"
+    hand, bundle, plan = Hand(rig), Bundle.new(tmp_path / "bundle"), tmp_path / "short.yaml"
     bundle.begin(load_config(rig.config), plan, emulated=False)
     again = ("record", "capture", "--resume", bundle.folder)
 

@@ -109,7 +109,7 @@ def _begun(arguments: argparse.Namespace) -> tuple[Config, Path, Bundle]:
     config = configured(shipped("tabletop.yaml") if arguments.emulated and not arguments.config
                         else default_path(arguments.config))  # fmt: skip
     plan = _plan(arguments.plan or config.plan, config)
-    return config, plan, Bundle(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
+    return config, plan, Bundle.new(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
 
 
 def _resumed(arguments: argparse.Namespace) -> tuple[Config, Path, Bundle]:

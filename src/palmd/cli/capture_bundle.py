@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -37,14 +37,18 @@ class Recorded(NamedTuple):
 
 
 class Bundle:
-    """A new bundle folder; CliError if it is not empty or cannot be created.
+    """A bundle folder and the measurements in it; made by `new` or `resumed`.
 
     Each result is written as soon as it exists, so that a capture that ends early can be resumed.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, rows: Iterable[Measured] = ()) -> None:
         self.folder = folder
-        self._rows: list[Measured] = []
+        self._rows = list(rows)
+
+    @classmethod
+    def new(cls, folder: Path) -> Self:
+        """A new bundle; CliError if the folder is not empty or cannot be created."""
         try:
             if folder.exists() and any(folder.iterdir()):
                 raise CliError(BAD_INPUT, f"{folder} is not empty: name another folder with -o")
@@ -52,17 +56,16 @@ class Bundle:
                 (folder / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise CliError(BAD_INPUT, f"{folder}: {error.strerror}") from None
+        return cls(folder)
 
     @classmethod
     def resumed(cls, folder: Path) -> Self:
         """The bundle of a capture that ended early; CliError if there is none, or it ended before the calibration."""
-        bundle = cls.__new__(cls)
-        bundle.folder = folder
+        bundle = cls(folder)
         if not bundle.calibrated:
             raise CliError(BAD_INPUT, f"{folder}: has no {CONFIGURATION}, so the pads are not calibrated: begin again")
         with as_cli_error(CaliperError):
-            bundle._rows = read_table(folder) if (folder / TRUTH).exists() else []
-        return bundle
+            return cls(folder, read_table(folder) if (folder / TRUTH).exists() else ())
 
     @property
     def calibrated(self) -> bool:

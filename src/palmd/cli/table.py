@@ -121,7 +121,7 @@ _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 MOVED = {
     "bench": f"{_STUDY} NAME",
     "observability": "this study is finished; its results are in docs/theory/paper.md",
-    "report paper": "this study is finished; its results are in docs/theory/paper.md",
+    "report paper": f"{_STUDY} paper",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }
 """Messages for former commands that are studies now; NAME is replaced by the next word."""

@@ -22,6 +22,7 @@ Sources: docs/reference/devices.md.
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -93,7 +94,7 @@ class TaxelCounters(FrameCounters):
     unanswered: int = 0
 
 
-class TaxelProtocol:
+class TaxelProtocol(ABC):
     """Protocol of one device: the functions that `FrameScanner` needs, and the content of a frame."""
 
     first_byte: int | None = None
@@ -104,17 +105,17 @@ class TaxelProtocol:
     def __init__(self, config: TaxelsConfig) -> None:
         self._config = config
 
+    @abstractmethod
     def size(self, head: Head) -> int | None:
         """See `FrameScanner`."""
-        raise NotImplementedError
 
     def is_valid(self, frame: bytes) -> bool:  # noqa: ARG002
         """See `FrameScanner`; without a checksum, `size` checks what there is."""
         return True
 
+    @abstractmethod
     def pressures(self, frame: bytes) -> Sequence[int] | None:
         """Return the counts of all taxels, row by row, if this frame completes them; else None."""
-        raise NotImplementedError
 
     def startup(self) -> bytes:
         """Return what the host sends after the line has been opened; empty if frames are sent at once."""
@@ -124,7 +125,7 @@ class TaxelProtocol:
         """Return what the host sends to request a frame; empty if frames are sent unasked."""
         return b""
 
-    def forget(self) -> None:
+    def forget(self) -> None:  # noqa: B027
         """Discard state after an interruption of the line."""
 
 

@@ -152,7 +152,7 @@ class Stack:
         """Wait for the daemon's first message; returns whether it came. `on_message` gets all messages until then."""
         daemon, t_begin = self.children["daemon"], time.monotonic()
         notified = False
-        while daemon.status is None and not self._given_up() and time.monotonic() < t_begin + START_S:
+        while daemon.status is None and not self._watch_page() and time.monotonic() < t_begin + START_S:
             for message in self.subscriber.until(time.monotonic() + LOOK_S):
                 on_message(message)
                 if message.topic.startswith("palm"):
@@ -167,7 +167,7 @@ class Stack:
         truth = [word for address in self._truth() for word in ("--truth", address)]
         arguments = ("record", str(self.path), *truth)
         self.children["recorder"] = self.begin("recorder", *arguments)
-        self.children["recorder"].first_line(START_S, self._given_up)
+        self.children["recorder"].first_line(START_S, self._watch_page)
 
     def _truth(self) -> list[str]:
         """Addresses at which the emulated rig publishes the truth."""
@@ -185,8 +185,8 @@ class Stack:
         self._served(line)
         return bool(line)
 
-    def _given_up(self) -> bool:
-        """Whether to give up; meanwhile the page's address is shown as soon as it is served."""
+    def _watch_page(self) -> bool:
+        """Show the page's address once it is served; returns whether to give up."""
         if "page" in self.children:
             self._served(self.children["page"].first_line(0.0))
         return self._give_up()

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from palmd.rig.plant import (
     PadPair,
     PalmFrame,
     Plant,
+    PlantSettings,
     _Rates,
     palm_frame,
 )
@@ -79,7 +80,9 @@ class _CurvedContact(NamedTuple):
 class CurvedPlant(Plant):
     """As `Plant`, on palms of signed `curvatures` (1/m, > 0 concave)."""
 
-    def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, **others: Any) -> None:
+    def __init__(
+        self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, **others: Unpack[PlantSettings]
+    ) -> None:
         """As `Plant`; raises ValueError for palms so concave that the body would touch one twice."""
         worst = max(curvatures) * max_curvature_radius(body)
         if worst >= _TWO_CONTACTS_RATIO:

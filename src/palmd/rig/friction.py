@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.dry_plant import DryPlant
-from palmd.rig.plant import AS_ASSUMED, FrictionLaw, FrictionSurface, Hinge, PadPair, Plant, PlantOptions
+from palmd.rig.plant import AS_ASSUMED, FrictionLaw, FrictionSurface, Hinge, PadPair, Plant, PlantSettings
 from palmd.rig.shaker import Shaking, drawn_shaking
 from palmd.rig.shapes import Body, Support
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
@@ -55,15 +55,14 @@ def plant_on(
     surface: FrictionSurface,
     curvatures: PadPair = FLAT,
     *,
-    options: PlantOptions = AS_ASSUMED,
     shaking: Shaking | None = None,
-    **others: Any,
+    **others: Unpack[PlantSettings],
 ) -> Plant:
     """The plant for the law that the options state, or else for palms that vibrate by `shaking`, or for the old law.
 
     others: see `Plant`. Raises ValueError for palms too concave for the body, and for dry friction on arcs.
     """
-    curved, others = any(curvatures), others | {"options": options}
+    curved, options = any(curvatures), others.get("options", AS_ASSUMED)
     if options.physics == "mujoco":
         if curved:
             raise ValueError("MuJoCo emulates flat palms only")

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Unpack
 
 import mujoco
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.ellipses import ellipse_of
 from palmd.rig.mean_turning import MeanTurning
-from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantContact, palm_frame
+from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantContact, PlantSettings, palm_frame
 from palmd.rig.shaker import STILL, Shaker, Shaking
 from palmd.rig.shapes import Body
 from palmd.rig.vibrating_plant import FORCE_LAG_S
@@ -109,7 +109,7 @@ class MujocoPlant(Plant):
         shaking: Shaking | None,
         *,
         step_s: float = STEP_S,
-        **others: Any,
+        **others: Unpack[PlantSettings],
     ) -> None:
         """step_s: largest step of the engine. Raises ValueError for a body that is no ellipse."""
         super().__init__(body, hinge, surface, **others)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, TypedDict, get_args
 
 import numpy as np
 
@@ -172,6 +172,15 @@ def palm_frame(hinge: Hinge, palms: PalmMotion, planes: _Planes = _FLAT) -> Palm
         c1, s1, math.cos(phi12), math.sin(phi12), phi1 - 0.5 * math.pi, phi12 + 0.5 * math.pi,
         w1, w1 + w2, a1, a1 + a2, ox, oy, vox, voy, aox, aoy, above1, above2,
     )  # fmt: skip
+
+
+class PlantSettings(TypedDict, total=False):
+    """Keyword arguments of every plant, see `Plant`."""
+
+    options: PlantOptions
+    imperfections: Imperfections
+    gravity: float
+    reach: PadPair
 
 
 class Plant:

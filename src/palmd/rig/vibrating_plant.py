@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from palmd.rig.plant import (
     Hinge,
     PadPair,
     PlantContact,
+    PlantSettings,
     palm_frame,
 )
 from palmd.rig.shaker import SLIP_SIGNS, Shaking
@@ -140,7 +141,7 @@ class VibratingPlant(CurvedPlant):
         surface: FrictionSurface,
         shaking: Shaking,
         curvatures: PadPair = FLAT,
-        **others: Any,
+        **others: Unpack[PlantSettings],
     ) -> None:
         """As `CurvedPlant`; raises ValueError for a body that is not smooth."""
         if not isinstance(body.support, Support):

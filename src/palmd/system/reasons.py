@@ -7,6 +7,7 @@ and of three palms give a reason in words, which has its code here. `{}` is a va
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 MEANINGS = {
     "untouched": "a pad or palm that is needed reports no contact",
@@ -116,6 +117,7 @@ _WITH_VALUES = [
 ]
 
 
+@lru_cache(maxsize=64)  # an invalid estimate asks at each tick, mostly about the same words
 def code_of(words: str) -> str:
     """The code of a reason; `other` for one that is not in the table; empty for none."""
     if not words or words in CODES:

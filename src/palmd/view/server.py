@@ -33,8 +33,12 @@ from palmd.view.library import LibraryError, RunLibrary
 log = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-FRAME_S = 1 / 15  # period of batches; the page draws one picture for each, and its load is proportional to that
-HEARTBEAT_FRAMES = 7  # a batch is sent at least this often, even without messages
+FRAME_S = 1 / 15
+"""Period of batches (s), one picture each (study 2026-11-30: the browser takes 14.4 % of a core, with 1/20 18.6 %)."""
+
+HEARTBEAT_FRAMES = int(0.5 / FRAME_S)
+"""A batch is sent at least this often, even without messages (convention: twice a second)."""
+
 HELLO_S = 5.0
 CLOSING_S = 1.0
 MESSAGE_BYTES_MAX = 4096

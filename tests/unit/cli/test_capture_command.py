@@ -34,7 +34,7 @@ def test_existing_files_are_not_overwritten(tmp_path, capsys):
 
 
 def test_a_bundle_loads_again_with_its_calibration_and_plan(tmp_path):
-    bundle = Bundle(tmp_path / "bundle")
+    bundle = Bundle.new(tmp_path / "bundle")
     run = tmp_path / "20261129.mcap"
     run.write_bytes(b"run")
     assert bundle.take_run(run, "1-stone") == STONE.run
@@ -53,7 +53,7 @@ def test_a_bundle_loads_again_with_its_calibration_and_plan(tmp_path):
 
 def guide(monkeypatch, tmp_path, *lines):
     monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
-    return Guide(None, load_config(TABLETOP), EXPLORE, Bundle(tmp_path / "bundle"), None)
+    return Guide(None, load_config(TABLETOP), EXPLORE, Bundle.new(tmp_path / "bundle"), None)
 
 
 def failing(times):
@@ -95,7 +95,7 @@ def test_cylinders_that_cannot_calibrate_are_asked_again(monkeypatch, tmp_path, 
 
 def interrupted(folder, *runs):
     """A bundle whose capture ended after these recordings, with the first one measured."""
-    bundle = Bundle(folder)
+    bundle = Bundle.new(folder)
     bundle.begin(load_config(TABLETOP), EXPLORE, emulated=False)
     for run in runs:
         (folder / "runs" / f"{run}.mcap").write_bytes(b"run")

@@ -7,7 +7,6 @@ exchanged as a body would be. Estimates cannot be judged here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -49,7 +48,6 @@ class LightRig(EmulatedRig[AdeptArm]):
             raise ValueError("the light rig has an arm")
         self.seed, self.kind, self.step_s = seed, "rig", step_s
         rng, off = np.random.default_rng(seed), configured(config, seed)
-        self.on_step: Callable[[float], None] | None = None  # called with the time (s) of every step
         home = (math.radians(45.0), math.radians(90.0))
         self.arm = AdeptArm(config, config.arm, home, rng, step_s=step_s, lag_s=0.0)
         pads: dict[PortName, PadEmulator] = {}
@@ -69,8 +67,6 @@ class LightRig(EmulatedRig[AdeptArm]):
         t = self.t
         self._inject_due_faults(t)
         self._transmit_due(t)
-        if self.on_step is not None:
-            self.on_step(t)
 
     def _inject_fault(self, order: FaultOrder, begins: bool) -> None:
         self.arm.inject_fault(order, begins, self.palms().angles)
