@@ -64,6 +64,8 @@ class Bundle:
         bundle = cls(folder)
         if not bundle.calibrated:
             raise CliError(BAD_INPUT, f"{folder}: has no {CONFIGURATION}, so the pads are not calibrated: begin again")
+        if not (folder / RUNS).is_dir():
+            raise CliError(BAD_INPUT, f"{folder}: has no folder {RUNS}, so it is no bundle of a capture")
         with as_cli_error(CaliperError):
             return cls(folder, read_table(folder) if (folder / TRUTH).exists() else ())
 
@@ -75,7 +77,7 @@ class Bundle:
     @property
     def recorded(self) -> list[Recorded]:
         """The recorded objects in the order of their numbers."""
-        found = (re.fullmatch(r"(\d+)-(.+)\.mcap", path.name) for path in (self.folder / RUNS).iterdir())
+        found = (re.fullmatch(r"(\d+)-(.+)\.mcap", path.name) for path in (self.folder / RUNS).glob("*.mcap"))
         return sorted(Recorded(int(each[1]), each[2], f"{RUNS}/{each[0]}") for each in found if each)
 
     @property

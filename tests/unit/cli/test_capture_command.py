@@ -125,6 +125,9 @@ def test_what_cannot_be_resumed_is_refused(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["record", "capture", "--resume", str(tmp_path / "empty")]) == 1
     assert "not calibrated" in capsys.readouterr().err
+    (tmp_path / "empty" / "palmd.yaml").write_text(TABLETOP.read_text())  # some rig's folder
+    assert main(["record", "capture", "--resume", str(tmp_path / "empty")]) == 1
+    assert "runs" in capsys.readouterr().err
     folder = interrupted(tmp_path / "bundle", "1-stone")
     assert main(["record", "capture", str(TABLETOP), "--resume", str(folder)]) == 2
     (folder / "truth.csv").write_text("name\nstone\n")
