@@ -92,7 +92,7 @@ def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
         (("bench", "montecarlo", "--runs", "3"), "python -m tools.studies montecarlo"),
         (("outlook",), "docs/theory/outlook.md"),
         (("observability", "--states", "5"), "docs/theory/paper.md"),
-        (("report", "paper", "-o", "x"), "docs/theory/paper.md"),
+        (("report", "paper", "-o", "x"), "python -m tools.studies paper"),
     ],
 )
 def test_a_command_that_became_a_study_names_the_study(argv, place, capsys):
