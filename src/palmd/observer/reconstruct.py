@@ -319,7 +319,7 @@ class _Part:
     def deviance(self) -> float:
         """−2 log-likelihood up to a constant; comparable between fits with different noise of the forces."""
         fit = self.fit if self.mapped is None else self.mapped.fit
-        return fit.cost + float(np.log(self.record.force_variance).sum())
+        return fit.cost + float(np.log(self.record.total_force_variance).sum())
 
     @property
     def blind(self) -> Prior:
