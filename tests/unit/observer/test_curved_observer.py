@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign import nightly
 from library import library
 from plain_shape_filters import corrected
 
@@ -60,15 +61,6 @@ def reconstructed_and_searches(events, rig):
         return reconstruct(events, rig), len(searches)
 
 
-@pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.nightly)], ids=["one search", "all searches"])
-def quick(request, monkeypatch):
-    """Only the first blind search, for readings that no search explains."""
-    if request.param:
-        monkeypatch.setattr(reconstruct_module, "attempts_on", lambda search: [(0, attempts_for(search.rig)[0])])
-        monkeypatch.setattr(reconstruct_module, "dry_reconstruction", lambda *_: None)
-        monkeypatch.setattr(reconstruct_module, "sharp_reconstruction", lambda *_: None)
-
-
 def test_a_log_of_a_cradle_is_reconstructed_from_a_blind_start(cradle):
     _, log, truth = cradle
     answer = reconstruct(log.events, log.rig)
@@ -82,7 +74,6 @@ def test_a_log_of_a_cradle_is_reconstructed_from_a_blind_start(cradle):
     assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1e-4, "evaluated at the tangents' normals"
 
 
-@pytest.mark.usefixtures("quick")
 def test_with_flat_palms_assumed_it_is_not_accepted(cradle, few):
     _, log, _ = cradle
     flat = replace(log.rig, pads=tuple(replace(pad, curvature=0.0) for pad in log.rig.pads))
@@ -102,9 +93,11 @@ def test_a_fit_that_contradicts_the_rig_is_searched_for_again(cradle, few, monke
     assert searches > 1
 
 
-@pytest.mark.usefixtures("quick")
-def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cradle):
+@pytest.mark.parametrize("one_search", [True, *nightly(False)])
+def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cradle, monkeypatch, one_search):
     _, log, _ = cradle
+    if one_search:
+        monkeypatch.setattr(reconstruct_module, "attempts_on", lambda search: [(0, attempts_for(search.rig)[0])])
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
     assert not answer.converged

@@ -197,7 +197,7 @@ def test_saturated_pads_without_force_do_not_lose_the_estimate() -> None:
 def test_a_returning_object_is_recognised_and_its_records_are_joined() -> None:
     absences = ((9.0, 10.0), (18.0, 19.0), (27.0, 28.0))
     run = simulated("rig", 710, 36.0, absences=absences)
-    beside = Beside(run)
+    beside = Beside(run, 0.5)
     ends, starts = (9.0, 18.0, 27.0, 36.0), (0.0, 10.02, 19.02, 28.02)
     scores = []
     for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
