@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -199,6 +200,7 @@ def test_a_smooth_outline_explains_its_own_motion():
     assert explained_smoothly(search, moved)  # the search returns to it
 
 
+@cache
 def hexagon() -> Run:
     body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
     return simulated("friction", 2, SECONDS, body=body)
