@@ -70,16 +70,17 @@ def _dented(random: Random, chord: float) -> Body:
     return uniform_body("dented lump", hull, float(random.uniform(0.05, 0.25)))
 
 
+def _real(name: str, random: Random) -> Body:
+    return real_object(name, random).body
+
+
 BODIES: Mapping[str, Callable[[Random], Body]] = {
     "corners of 3 mm": lambda random: _polygon(random, 3e-3),
     "corners of 1 mm": lambda random: _polygon(random, 1e-3),
     "dent of 4 mm": lambda random: _dented(random, 4e-3),
     "dent of 10 mm": lambda random: _dented(random, 10e-3),
     "dry lump": partial(random_body, "friction"),
-    **{
-        name: lambda random, name=name: real_object(name, random).body
-        for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")
-    },
+    **{name: partial(_real, name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
 }
 """For each kind a function that draws its body. Dry kinds have Coulomb friction without dither."""
 
@@ -214,6 +215,10 @@ def verdict(row: SharpRow) -> str:
     return "right" if row.right else "in its band" if row.rough else "wrong"
 
 
+def _has(which: str, row: SharpRow) -> bool:
+    return verdict(row) == which
+
+
 def remark(row: SharpRow) -> str:
     """The results of a log, with its shape classification."""
     shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
@@ -234,7 +239,7 @@ OFFLINE = Study(
     order=lambda row: (KINDS.index(row.kind), row.seed),
     by=lambda row: row.kind,
     columns=[
-        *((each, count_of(lambda row, each=each: verdict(row) == each)) for each in VERDICTS),
+        *((which, count_of(partial(_has, which))) for which in VERDICTS),
         ("µm", accepted(quantiles(lambda row: row.e_h_m, 1e6))),
         ("largest", accepted(most(lambda row: row.most_m, 1e6))),
         ("error / sd: median, most", accepted(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
