@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from campaign import nightly
+from paper_surface import centre_of_mass, centre_of_rotation, height, inside_boundary, stable_poses
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -17,7 +18,7 @@ from palmd.model.stable_surface import Surface, SurfaceLimits, stable_surface
 from palmd.rig import plant
 from palmd.rig.shapes import KINDS, Body, random_body
 from palmd.system.mechanism import normal_directions
-from tools.studies.paper_poses import centre_of_mass, centre_of_rotation, follow, height, inside_boundary, stable_poses
+from tools.studies.paper_poses import follow
 
 LIMITS = SurfaceLimits()
 CLOSING = ((0.4, 2.0), (0.9, 1.2))  # rad, a path of the palms on which minima vanish

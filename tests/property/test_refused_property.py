@@ -23,9 +23,9 @@ from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
-from tools.studies.simulation.happenings import PLAN_TEXTS
-from tools.studies.simulation.light_observer import LightObserver
 from tools.studies.simulation.light_rig import STEP_S, LightRig
+from tools.studies.simulation.scenario import PLAN_TEXTS
+from tools.studies.stub_observers import TrivialObserver
 
 CONFIG = default_config()
 LIMITS = motion_limits(CONFIG)
@@ -38,7 +38,7 @@ class Bench:
     """Core and light rig, step by step."""
 
     def __init__(self):
-        self.rig, self.core = LightRig(CONFIG, 3), Core(CONFIG, LightObserver(), AtOnce(), PLAN)
+        self.rig, self.core = LightRig(CONFIG, 3), Core(CONFIG, TrivialObserver(), AtOnce(), PLAN)
         self.ticks = 0
         self.closed = set()
         self.answers = []

@@ -31,14 +31,14 @@ from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import World, default_config
 from palmd.system.rig_constants import RIG_NAMES
 from tools.published import validate
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 LIFTED = "name: sent\nsegments:\n- move: {phi1_deg: 50, phi2_deg: 85}\n  duration_s: 1.0\n"
 ENDS = ("pad1", "pad2", "arm")
 TICK_STEPS = 20
 
 
-class Fake(SilentObserver):
+class Fake(EmptyObserver):
     """An observer that only records what it is fed."""
 
     name, object_count, late_dropped = "fake", 1, 0

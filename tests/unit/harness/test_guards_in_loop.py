@@ -11,7 +11,7 @@ from palmd.config.two_palms import Config, PlanSpec
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from tools.closed_loop import ClosedLoopError, TwoPalmsLoop
-from tools.studies.simulation.light_observer import LightObserver
+from tools.studies.stub_observers import TrivialObserver
 
 PLAN = PlanSpec.model_validate(
     yaml.safe_load(
@@ -35,7 +35,7 @@ RIGS = {"adept": lambda: ADEPT, "dynamixel": lambda: servos("dynamixel"), "feete
 
 @cache
 def begun(rig, seed, after_s):
-    loop = TwoPalmsLoop(RIGS[rig](), PLAN, seed, estimator=LightObserver())
+    loop = TwoPalmsLoop(RIGS[rig](), PLAN, seed, estimator=TrivialObserver())
     loop.start()
     for _ in loop.run(after_s):
         pass
@@ -153,8 +153,8 @@ def test_after_a_block_a_start_begins_at_the_arms_pose():
 @pytest.mark.parametrize("yaw_deg", [90.0, 180.0])
 def test_an_arm_whose_base_is_rotated_in_the_configuration_is_not_armed(yaw_deg):
     wrong = ADEPT.model_copy(update={"arm": ADEPT.arm.model_copy(update={"base_yaw_deg": yaw_deg})})
-    loop = TwoPalmsLoop(ADEPT, PLAN, 7, estimator=LightObserver())
-    loop.core = TwoPalmsLoop(wrong, PLAN, 7, estimator=LightObserver()).core
+    loop = TwoPalmsLoop(ADEPT, PLAN, 7, estimator=TrivialObserver())
+    loop.core = TwoPalmsLoop(wrong, PLAN, 7, estimator=TrivialObserver()).core
     for _ in range(100):
         loop.tick()
     assert "pose-contradicts-rig" in {fault.code for fault in loop.core.faults.active}

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from campaign import nightly
+from curved_logs import simulate_curved_log
 from library import library
 from plain_shape_filters import corrected
 
@@ -30,7 +31,6 @@ from palmd.record.replay import replay
 from palmd.score import score_outline, score_shape
 from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
-from tools.studies.simulate_curved import simulate_curved_log
 
 SECONDS = 6.0
 reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # the package has a function of the same name
