@@ -22,7 +22,7 @@ from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
 from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
-from palmd.system.reasons import MEANINGS
+from palmd.system.reasons import Code
 from palmd.topics import TOPICS
 from palmd.yamlfile import load_config
 
@@ -68,8 +68,8 @@ def messages() -> str:
     for topic in TOPICS:
         parts.append(f"\n## `{topic.name}` ({topic.rate})\n\n")
         parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
-    parts.append("\n## Reasons\n\nCodes in `invalid_reasons`, of all systems.\n\n")
-    parts.append(table(("code", "meaning"), [(f"`{code}`", meaning) for code, meaning in MEANINGS.items()]))
+    parts.append("\n## Reasons\n\nCodes in `invalid_reasons`, and in `reason_code` of answers and results.\n\n")
+    parts.append(table(("code", "meaning"), [(f"`{code}`", code.meaning) for code in Code]))
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
         "`{id, ok, error?, result?}`.\nA refused command has moved nothing. `from`, optional printable text, names the "

@@ -38,7 +38,7 @@ from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, RIG, SCHEMA, STATE, TICK, UNITS, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
-from palmd.system.reasons import code_of
+from palmd.system.reasons import Code
 from palmd.system.rig_constants import RIG_NAMES, describe_rig_errors
 
 if TYPE_CHECKING:
@@ -107,11 +107,9 @@ def estimate_fields(estimate: Estimate) -> Fields:
     return fields
 
 
-def invalid_reasons(estimate: LiveEstimate, reason: str = "") -> list[str]:
-    """Codes of the reasons why an estimate is invalid: its own, else that of its `reason` in words."""
-    if estimate.valid:
-        return []
-    return [*estimate.invalid_reasons] or [code_of(reason) or "no-answer"]
+def invalid_reasons(estimate: LiveEstimate) -> list[str]:
+    """Codes of the reasons why an estimate is invalid."""
+    return [] if estimate.valid else [*estimate.invalid_reasons] or [Code.NO_ANSWER]
 
 
 def estimate_summary(estimate: Estimate) -> Fields:
@@ -436,6 +434,7 @@ class LogEntry:
     who: str
     lasted_s: float
     text: str
+    code: str = ""
 
     @property
     def line(self) -> str:
@@ -455,7 +454,8 @@ def log_fields(entries: Iterable[LogEntry]) -> Fields:
 
 def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
     """The entries that `log_fields` was given; raises KeyError, ValueError for invalid fields."""
-    return tuple(LogEntry(*row) for row in zip(*(fields[name] for name in _LOG_COLUMNS), strict=True))
+    known = {"code": [""] * len(fields["number"]), **fields}  # earlier recordings have no codes
+    return tuple(LogEntry(*row) for row in zip(*(known[name] for name in _LOG_COLUMNS), strict=True))
 
 
 def runtime_fields(version: str, observer: str, config: AnyConfig, system: str = "") -> Fields:

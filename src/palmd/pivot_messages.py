@@ -21,7 +21,7 @@ _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
 def estimate_fields(estimate: PivotEstimate) -> Fields:
     """`palm/pivot`."""
     fields: Fields = {name: getattr(estimate, source) for name, source in _FIELDS}
-    fields["invalid_reasons"] = messages.invalid_reasons(estimate, estimate.reason)
+    fields["invalid_reasons"] = messages.invalid_reasons(estimate)
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 
@@ -45,7 +45,7 @@ def _answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
     return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
-ANSWERS = AnswerCodec(PIVOT_ANSWER, _answer_from_flat)
+ANSWERS = AnswerCodec(PIVOT_ANSWER, _answer_from_flat, absent={"reason_code": ""})
 answer_fields, answer_of = ANSWERS.fields_of, ANSWERS.answer_of
 """`palm/pivot_answer`: fields of an answer, and the answer of fields."""
 

@@ -100,6 +100,7 @@ PIVOT_ANSWER = Topic(
         Quantity("t_s", "number", "s", "time of the estimate, CLOCK_MONOTONIC", source="t"),
         Quantity("accepted", "bool", "", "whether the estimate is accepted", source="accepted"),
         Quantity("reason", "text", "", "why it is rejected, in words; empty if it is accepted", source="reason"),
+        Quantity("reason_code", "text", "", "the [code](#reasons) of that reason", source="reason_code"),
         Quantity("psi_rad", "number", "rad", "orientation of the object at that time", source="psi"),
         Quantity(
             "p",

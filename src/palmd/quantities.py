@@ -509,6 +509,8 @@ LOG = Topic(
         Quantity("who", "texts", "", "the client that gave the command; else empty"),
         Quantity("lasted_s", "numbers", "s", "duration of something that ended; else NaN"),
         Quantity("text", "texts", "", "in words, with the cause: which byte, which age, which limit"),
+        Quantity("code", "texts", "",
+                 "of a fault of a line: mute, unreadable, foreign; of the controller: its error; else empty"),
     ),
 )  # fmt: skip
 NOTE = Topic(

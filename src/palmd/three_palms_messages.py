@@ -24,7 +24,7 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
     """`palm3/estimate`."""
     return {
         "valid": estimate.valid,
-        "invalid_reasons": messages.invalid_reasons(estimate, estimate.reason),
+        "invalid_reasons": messages.invalid_reasons(estimate),
         "observer": estimate.observer,
         "object": estimate.object_count,
         "quat_xyzw": list(estimate.quaternion),
@@ -68,7 +68,8 @@ def _answer_from_flat(**values: Any) -> BodyAnswer:
     return BodyAnswer(**values | square)
 
 
-ANSWERS = AnswerCodec(PALM3_ANSWER, _answer_from_flat, absent={"unexplained_sd_m": 0.0}, plain_first=True, vectors=True)
+_ABSENT = {"unexplained_sd_m": 0.0, "reason_code": ""}
+ANSWERS = AnswerCodec(PALM3_ANSWER, _answer_from_flat, absent=_ABSENT, plain_first=True, vectors=True)
 answer_fields, answer_of = ANSWERS.fields_of, ANSWERS.answer_of
 """`palm3/answer`: fields of an answer, and the answer of fields."""
 

@@ -128,6 +128,7 @@ PALM3_ANSWER = Topic(
         Quantity("record_start_s", "number", "s", "start of the record it is estimated from", source="record_start"),
         Quantity("accepted", "bool", "", "whether the estimate is accepted", source="accepted"),
         Quantity("reason", "text", "", "why it is rejected, in words; empty if it is accepted", source="reason"),
+        Quantity("reason_code", "text", "", "the [code](#reasons) of that reason", source="reason_code"),
         Quantity("hypotheses", "number", "", "number of motions that explain the readings so far", source="hypotheses"),
         Quantity("R", "numbers", "", "rotation from body to world at that time, matrix row by row", source="R"),
         Quantity("omega_rad_s", "numbers", "rad/s", "its angular velocity, world", source="omega"),

@@ -31,7 +31,7 @@ def answer(**changes):
     values = {
         "converged": True, "chi2": 1.0, "theta": THETA, "h": support(THETA + 0.7), "h_sd": np.full(360, 1e-5),
         "touched": THETA < 2.0, "rho": 0.014, "rho_sd": 1e-3, "mu": 0.2, "mu_sd": 0.1, "mass": 0.1, "mass_sd": 0.01,
-        "t": t, "psi": np.sin(4.0 * t) + 0.7, "omega0": 4.0 * np.cos(4.0 * t), "radii": np.stack([t, t]), "reason": "",
+        "t": t, "psi": np.sin(4.0 * t) + 0.7, "omega0": 4.0 * np.cos(4.0 * t), "radii": np.stack([t, t]),
         "seconds": 1.5, "visits": None, "rig": np.zeros(len(RIG_NAMES)), "rig_covariance": np.eye(len(RIG_NAMES)),
         "contradicted": np.zeros(len(RIG_NAMES)), "rig_prior_sd": np.ones(len(RIG_NAMES)),
         "turned_sd": 1e-3,

@@ -14,6 +14,7 @@ from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.outline import gauge_free_sd
 from palmd.rig.imperfections import drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.reasons import Code, Reason
 from palmd.system.rig_constants import RIG_NAMES, prior_sds
 from tools.studies import sbc
 from tools.studies.sbc import (
@@ -234,7 +235,7 @@ def test_touched_and_untouched_normals_are_both_scored():
 
 def test_without_friction_or_outline_there_is_no_score_of_it():
     assert "mu" not in row_of(TASK, simulator_truth(mu=0.0, dither_m_s=None), answer()).beliefs
-    row = row_of(TASK, simulator_truth(), answer(**NO_SHAPE, reason="too little"))
+    row = row_of(TASK, simulator_truth(), answer(**NO_SHAPE, reason=Reason(Code.UNDETERMINED, "too little")))
     assert (row.converged, row.reason, row.beliefs) == (False, "too little", {})
 
 

@@ -33,9 +33,13 @@ def test_a_second_pad_is_not_read_as_the_first():
 
 def test_a_rejected_answer_is_decoded_empty():
     none = np.zeros(0)
-    rejected = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none)
-    back = says.answer_of(says.answer_fields(2.0, rejected))
+    rejected = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none, "undetermined")
+    fields = says.answer_fields(2.0, rejected)
+    back = says.answer_of(fields)
     assert (back.accepted, back.reason, back.p.size, back.covariance.shape) == (False, "too little", 0, (0, 0))
+    assert back.reason_code == says.ANSWERS.unpacked(*says.ANSWERS.packed(rejected)).reason_code == "undetermined"
+    del fields["reason_code"]  # as in older recordings
+    assert says.answer_of(fields).reason_code == ""
 
 
 def estimate(**changed):

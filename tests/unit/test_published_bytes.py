@@ -18,6 +18,7 @@ from palmd.console.shipped import shipped
 from palmd.daemon.packing import FieldsPacker
 from palmd.events import Estimate, Improvement, PadLift, PadSample, PalmSample, ShapeEstimate
 from palmd.system.pivot import PivotAnswer, PivotEstimate
+from palmd.system.reasons import Code
 from palmd.system.three_palms import BodyAnswer, BodyEstimate
 from palmd.three_palms_messages import VALUES
 from palmd.yamlfile import load_any_config
@@ -48,13 +49,16 @@ def shape(size=360):
 
 
 SD = {"psi": 0.5, "omega0": 0.25}
-REASON = {"valid": False, "reason": "too little, as yet", "sd": SD, "object_count": 3, "observer": "shape"}
+REASON = {
+    "valid": False, "reason": "too little, as yet", "invalid_reasons": (Code.OTHER,), "sd": SD, "object_count": 3,
+    "observer": "shape",
+}  # fmt: skip
 TWO = filled(Estimate, valid=True, sd=SD, object_count=3, observer="shape", invalid_reasons=())
-PIVOT = filled(PivotEstimate, **REASON, invalid_reasons=(), side=-1)
+PIVOT = filled(PivotEstimate, **REASON, side=-1)
 BODY = BodyEstimate(
     **{each.name: None for each in dataclasses.fields(BodyEstimate)} | REASON | {
         "t": 1.5, "quaternion": (0.0, 0.5, 0.25, 1.0), "attitude_sd": (0.5, 0.25, 0.125), "nis": 0.75, "touched": 0.5,
-        "values": {name: i / 16 for i, name in enumerate(VALUES[3:])}, "hypotheses": 2, "invalid_reasons": (),
+        "values": {name: i / 16 for i, name in enumerate(VALUES[3:])}, "hypotheses": 2,
         "sd": {"mu": 0.25},
     }
 )  # fmt: skip
@@ -77,7 +81,7 @@ MESSAGES = {
     "palm/pivot_shape": lambda: pivot_messages.shape_fields(shape()),
     "palm/pivot_events": lambda: pivot_messages.events_fields(2.0, (*ONE, PalmSample(0.75, (0.5, 0.25)))),
     "palm/pivot_answer": lambda: pivot_messages.answer_fields(
-        2.0, PivotAnswer(1.5, True, "", 0.5, numbers(9), numbers(9, 9), DEGREES, np.floor(DEGREES))
+        2.0, PivotAnswer(1.5, True, "", 0.5, numbers(9), numbers(9, 9), DEGREES, np.floor(DEGREES), "")
     ),
     "palm/pivot_info": lambda: info(pivot_messages, "pivot.yaml"),
     "palm3/estimate": lambda: three_palms_messages.estimate_fields(BODY),
@@ -89,7 +93,7 @@ MESSAGES = {
     "palm3/answer": lambda: three_palms_messages.answer_fields(
         2.0,
         BodyAnswer(1.5, 0.25, True, "", 2, numbers(3, 3), numbers(3), numbers(90), numbers(96, 96), DEGREES, DEGREES,
-                   np.floor(DEGREES), numbers(9), 0.25, 0.125, 0.5),
+                   np.floor(DEGREES), numbers(9), 0.25, 0.125, 0.5, ""),
     ),
     "palm3/info": lambda: info(three_palms_messages, "three_palms.yaml"),
 }  # fmt: skip
@@ -105,13 +109,13 @@ FROZEN = {
     "palm/pivot at a glance": (283, "9e3ba9380ca1c5ae"),
     "palm/pivot_shape": (10164, "4371f6e573fbb7b9"),
     "palm/pivot_events": (465, "6567bcd9e9750341"),
-    "palm/pivot_answer": (4565, "d6c420b4b10cca39"),
+    "palm/pivot_answer": (4578, "a2771c5f0661851d"),
     "palm/pivot_info": (396, "959d0cc4fdb83397"),
     "palm3/estimate": (863, "6680b7b2df08f4a4"),
     "palm3/estimate at a glance": (290, "db24839e85b63e58"),
     "palm3/shape": (6934, "f022b4f22ffc2be6"),
     "palm3/events": (598, "494b8c4ef22040b1"),
-    "palm3/answer": (93975, "6c43a411c04cfbe1"),
+    "palm3/answer": (93988, "77b8598585ea359b"),
     "palm3/info": (684, "eb62082f035bd1d3"),
 }
 """By message: number of bytes, and the beginning of their sha256."""

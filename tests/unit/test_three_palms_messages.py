@@ -40,15 +40,15 @@ def test_an_answer_is_decoded_bit_for_bit():
     rng = np.random.default_rng(1)
     sent = BodyAnswer(
         1.5, 0.2, True, "", 2, rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=90),
-        rng.normal(size=(96, 96)), rng.random(9), rng.random(9), np.ones(9), rng.random(9), 0.06, 0.001, 3e-5,
+        rng.normal(size=(96, 96)), rng.random(9), rng.random(9), np.ones(9), rng.random(9), 0.06, 0.001, 3e-5, "other",
     )  # fmt: skip
     fields = msgpack.unpackb(FieldsPacker()(says.answer_fields(2.0, sent)))
     back = says.answer_of(fields)
     for name in BodyAnswer.__slots__:
         assert np.array_equal(getattr(back, name), getattr(sent, name)), name
     assert not validate(PALM3_ANSWER, stamped(fields))
-    del fields["unexplained_sd_m"]  # as in older recordings
-    assert says.answer_of(fields).unexplained_sd == 0.0
+    del fields["unexplained_sd_m"], fields["reason_code"]  # as in older recordings
+    assert (says.answer_of(fields).unexplained_sd, says.answer_of(fields).reason_code) == (0.0, "")
 
 
 def test_every_field_of_an_estimate_is_in_its_table_and_vice_versa():
@@ -60,6 +60,7 @@ def test_every_field_of_an_estimate_is_in_its_table_and_vice_versa():
     fields = says.estimate_fields(estimate)
     assert not validate(PALM3, stamped(fields))
     assert fields["com_z_m"] == 0.03
+    assert fields["invalid_reasons"] == ["no-answer"]
     assert math.isnan(fields["f3_n"])
 
 

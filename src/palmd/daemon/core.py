@@ -46,6 +46,7 @@ from palmd.messages import (
 )
 from palmd.observer.observer import LiveObserver
 from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
+from palmd.system.reasons import Code
 from palmd.system.rig_constants import describe_rig_errors
 
 log = logging.getLogger(__name__)
@@ -271,7 +272,7 @@ class Core:
             self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=reasons)
         if self._estimate.valid and not self._system.is_finite(self._estimate):
             self._transient.add("estimate-not-finite")
-            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=("not-finite",))
+            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=(Code.NOT_FINITE,))
 
     def handle(self, request: Request, t: float) -> None:
         """Execute a valid command at `t` (s), or refuse it; `replies` returns the answer."""
@@ -291,7 +292,7 @@ class Core:
         self.faults.update(present, t, armed=self.supervisor.armed, certain=certain, evidence=self._guard_evidence)
         if self.arm.guards.following.shows_no_motion and self.arm.actual is not None:
             self.setpoints.retreat(self.arm.actual, t)
-        self._fault_notes.look(self.faults.active, t, self._evidence)
+        self._fault_notes.look(self.faults.active, t, lambda code, at: (self._evidence(code, at), self._finding(code)))
         self._transient.clear()
         self.supervisor.update(t, up=self._rig_up(t))
         self._note_state_entry(t)
@@ -507,6 +508,12 @@ class Core:
             case "recorder-failed" | "recorder-silent":
                 return self.supervisor.recorder.evidence(code, t)
         return self.arm.host.evidence(condition, t) if end == "arm" else ""
+
+    def _finding(self, code: str) -> str:
+        """What a device found out about its fault, as a code; empty if nothing."""
+        end, _, condition = code.partition("-")
+        device = self.arm.host if end == "arm" else self.pads.get(end)
+        return "" if device is None else device.finding(condition)
 
     def _guard_evidence(self, code: str) -> str:
         """The evidence for a guard's fault, in words with numbers."""

@@ -44,8 +44,9 @@ class Journal:
         return tuple(self._entries)
 
     def add(
-        self, kind: LogKind, name: str, text: str, *, severity: str = "", who: str = "", lasted_s: float = math.nan
-    ) -> None:
+        self, kind: LogKind, name: str, text: str, *,
+        severity: str = "", who: str = "", lasted_s: float = math.nan, code: str = "",
+    ) -> None:  # fmt: skip
         """Add an entry, unless it repeats the one before within `SAME_S`."""
         if len(text) > TEXT_LONGEST:
             text = f"{text[: TEXT_LONGEST - 1]}…"
@@ -53,7 +54,7 @@ class Journal:
         content = (kind, name, who, text)
         if last is not None and self.t - last.t_s < SAME_S and (last.kind, last.name, last.who, last.text) == content:
             return
-        self._entries.append(LogEntry(self.count, self.t, kind, name, severity, who, lasted_s, text))
+        self._entries.append(LogEntry(self.count, self.t, kind, name, severity, who, lasted_s, text, code))
         self.count += 1
 
 
@@ -66,8 +67,8 @@ class FaultNotes:
         self._since: dict[str, float] = {}  # begin of each fault that has been recorded
         self._t_recorded: dict[str, float] = {}
 
-    def look(self, active: tuple[Fault, ...], t: float, evidence: Callable[[str, float], str]) -> None:
-        """Record changes of the `active` faults at `t` (s); `evidence(code, t)` gives the evidence."""
+    def look(self, active: tuple[Fault, ...], t: float, evidence: Callable[[str, float], tuple[str, str]]) -> None:
+        """Record changes of the `active` faults at `t` (s); `evidence(code, t)`: in words, and as a code."""
         if active is self._active:
             return
         self._active = active
@@ -81,10 +82,9 @@ class FaultNotes:
             if fault.severity not in _GRAVE and t - self._t_recorded.get(code, -math.inf) < SAME_S:
                 continue
             self._since[code] = self._t_recorded[code] = t
-            reason = evidence(code, t)
-            self._journal.add(
-                "fault", code, f"{fault.text}: {reason}" if reason else fault.text, severity=fault.severity
-            )
+            reason, finding = evidence(code, t)
+            text = f"{fault.text}: {reason}" if reason else fault.text
+            self._journal.add("fault", code, text, severity=fault.severity, code=finding)
 
 
 class ObjectNotes:

@@ -32,6 +32,7 @@ from palmd.outlinefile import Outline
 from palmd.pivot_quantities import PIVOT_ANSWER
 from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
+from palmd.system.reasons import Code
 
 OUTSIDE_M = 2e-3
 
@@ -104,7 +105,7 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         nan = math.nan
         return PivotEstimate(
             t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,
-            side=0, touched=0.0, reason="the observer has failed",
+            side=0, touched=0.0, reason="the observer has failed", invalid_reasons=(Code.OBSERVER_FAILED,),
         )  # fmt: skip
 
     def suppressed_faults(self, exploring: ExplorationControl) -> Collection[str]:

@@ -25,6 +25,7 @@ from palmd.observer.observer import LiveObserver
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.outlinefile import Outline
 from palmd.quantities import Topic
+from palmd.system.reasons import Code
 from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
@@ -90,7 +91,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         nan = (math.nan,) * 4
         return BodyEstimate(
             t, False, observer.name, observer.object_count, math.nan, values={}, quaternion=nan, attitude_sd=nan[1:],
-            touched=0.0, hypotheses=0, reason="the observer has failed",
+            touched=0.0, hypotheses=0, reason="the observer has failed", invalid_reasons=(Code.OBSERVER_FAILED,),
         )  # fmt: skip
 
     def is_finite(self, estimate: BodyEstimate) -> bool:

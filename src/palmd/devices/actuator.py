@@ -194,6 +194,10 @@ class Actuator(ABC):
     def evidence(self, condition: str, t: float) -> str:
         """Return the measurements behind a condition at `t` (s): line, age, limit. May be empty."""
 
+    def finding(self, condition: str) -> str:  # noqa: ARG002
+        """Return what came over the line, or the controller's error, as a code for a condition; empty if neither."""
+        return ""
+
     @abstractmethod
     def counts(self) -> dict[str, float]:
         """All counters since the start, by name."""

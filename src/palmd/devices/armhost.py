@@ -69,6 +69,7 @@ HARMLESS_CODES = (-522, -524, -610, -611)
 """Codes that refuse one line or one set-point only. After any other code the controller may have left tracking."""
 
 WRONG_STATE = -620
+MIN_LINE_BYTES = 31  # fewer may be the rest of a line
 
 Request = type[Start] | type[Stop] | type[Reset]
 _VERB: dict[Request, str] = {Start: "start", Stop: "stop", Reset: "reset"}
@@ -184,6 +185,14 @@ class ArmHost(Actuator):
         return f"its line A reports state {self.state} ({self.state.name})" + (
             f", error {self.error}" * bool(self.error)
         )
+
+    def finding(self, condition: str) -> str:
+        """See `Actuator`; empty for a line on which whole lines still come."""
+        if condition != "link-lost":
+            return "" if self.last_error is None else f"{self.last_error:+05d}"
+        line = self.counters.line
+        found = "mute" if line.bytes - self._bytes_at_ack < MIN_LINE_BYTES else "unreadable"
+        return found if line.lines == self._lines_at_ack else ""
 
     def _silence(self, t: float, limit_s: float) -> str:
         count = self.counters.line.bytes - self._bytes_at_ack

@@ -80,5 +80,5 @@ def last_report(t_last: float | None, t: float) -> str:
 
 
 def bytes_since(count: int) -> str:
-    """Number of bytes received since the last report, as text; `palmd.report.causes` parses it."""
+    """Number of bytes received since the last report, as text."""
     return f"{count} bytes have come since, which are no packet" if count else "not a byte has come since"

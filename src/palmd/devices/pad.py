@@ -208,6 +208,10 @@ class PadDriver(ABC):
                 return last
         return self._error_shares.text(condition)
 
+    def finding(self, condition: str) -> str:
+        """Return what came over the line of a silent pad, as a code: mute, unreadable or foreign; else empty."""
+        return "mute" if condition == "silent" else ""
+
     @abstractmethod
     def counts(self) -> dict[str, int]:
         """All counters since the start, by name."""

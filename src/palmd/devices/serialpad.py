@@ -13,6 +13,8 @@ from palmd.devices.pad import SILENT_INTERVALS, FixedScale, PadDriver, PadReport
 from palmd.devices.port import Port
 from palmd.events import PadLift, PadSample
 
+MIN_PACKET_BYTES = 8  # fewer may be the rest of a packet
+
 
 class SerialCounters(Protocol):
     """Counters that the decoder of such a pad must have."""
@@ -143,6 +145,12 @@ class SerialPad(PadDriver, Generic[Report, Counters]):
             "out-of-range": (counters.packets, counters.out_of_range),
             "batched": (counters.packets, counters.batched),
         }
+
+    def finding(self, condition: str) -> str:
+        """See `PadDriver`."""
+        if condition != "silent" or (self._bytes_since_packet < MIN_PACKET_BYTES and not self._is_foreign):
+            return super().finding(condition)
+        return "foreign" if self._is_foreign else "unreadable"
 
     def _silence(self, last: str) -> str:
         since = self._bytes_since_packet

@@ -52,6 +52,7 @@ from palmd.observer.validity import (
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import BENDS, FORCES, PALMS, RADII
+from palmd.system.reasons import Code
 from palmd.system.rig_constants import declared_exact
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
@@ -80,10 +81,6 @@ def _why_invalid(evidence: Evidence, nis: float, radius_sd_m: float, safe: bool)
 def _largest(values: list[float]) -> float:
     """The maximum, NaN if any value is NaN."""
     return math.nan if any(map(math.isnan, values)) else max(values)
-
-
-STICKS = ("sticks",)
-"""Reason code: the palms do not vibrate, so that dry friction may hold the object."""
 
 
 class BankObserver:
@@ -270,15 +267,12 @@ class BankObserver:
         if track.predictable:
             for pad, force in zip(PALMS, _FORCES, strict=True):
                 track.likely_mass.weigh(self._contacts.last(pad), y[force])
+        sticks = (Code.STICKS,) if self._dry and not self._sticking.frictionless else ()
         return make_estimate(
             t, valid, self.name, session.object_count, y, published_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
-            () if valid else (*self._sticks(), *reasons(evidence, SETTLED)),
+            () if valid else (*sticks, *reasons(evidence, SETTLED)),
         )  # fmt: skip
-
-    def _sticks(self) -> tuple[str, ...]:
-        """The reason code `sticks` if dry friction may hold the object, else nothing."""
-        return STICKS if self._dry and not self._sticking.frictionless else ()
 
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline of the most likely filter at `t` (s), None while there is no object."""

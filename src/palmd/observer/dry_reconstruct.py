@@ -173,6 +173,6 @@ def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Rec
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=fit.psi, omega0=np.gradient(fit.psi, record.t),
         radii=np.stack([rows @ z[SHAPE] for rows in lying.h]),
-        reason="", seconds=time.perf_counter() - started, turned_sd=model.turned_sd(fit, covariance),
+        seconds=time.perf_counter() - started, turned_sd=model.turned_sd(fit, covariance),
         shape_class=shape_class(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip

@@ -17,6 +17,7 @@ from palmd.observer.filters.base import Filters
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import sd_of
 from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
+from palmd.system.reasons import Code
 
 DIRECTIONS = 180  # normals of the published outline
 THETA: FloatArray = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
@@ -55,7 +56,7 @@ def empty_estimate(t: float, observer: str, object_count: int, palms: PalmMotion
         {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     )
     return Estimate(
-        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0, invalid_reasons=("no-object",),
+        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0, invalid_reasons=(Code.NO_OBJECT,),
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},
     )  # fmt: skip
 

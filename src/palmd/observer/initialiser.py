@@ -28,9 +28,10 @@ from palmd.observer.search import (
 )
 from palmd.observer.smoother import Budget
 from palmd.system.description import RigDescription
+from palmd.system.reasons import NO_REASON, Code, Reason
 from palmd.system.rig_constants import declared_exact
 
-UNFOUND = "nothing explains the readings"
+UNFOUND = Reason(Code.UNEXPLAINED, "nothing explains the readings")
 LEAST_S = 1.0  # s of readings for the first search; on fewer the bank is as good
 STILL_KEPT_S = 2.0  # s of readings kept while everything rests and the readings so far determine nothing
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
@@ -149,7 +150,7 @@ class Initialiser:
         doubts = UNFOUND if solution is None else rejection_reason(solution.finding.fits[0], solution.finding)
         self.unexplained = solution is None or is_implausible(solution.finding.fits[0], solution.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
-        if doubts in {"", AMBIGUOUS} and not self.unexplained:
+        if doubts in (NO_REASON, AMBIGUOUS) and not self.unexplained:
             self.hypothesis = solution
         elif self._allows_trial:
             self.extension_failed = True
@@ -191,7 +192,7 @@ class Initialiser:
         )
         return due and search.covers(finding)
 
-    def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
+    def _useful_from(self, segment: DataSegment, doubts: Reason, now: float) -> float:
         """Time (s) before which readings do not help the next search, given the `doubts` about the last result."""
         seconds = now - segment.start
         # if the result is ambiguous, more readings will distinguish the rivals

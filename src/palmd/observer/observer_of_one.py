@@ -19,7 +19,7 @@ class ObserverOfOne(ABC, Generic[Answer]):
         self.object_count, self.late_dropped, self.improvements = 1, 0, 0
         self._smoothing = smoothing
         self._unsent: list[Event] = []
-        self._invalid_because = ""
+        self.invalid_because = ""  # reason of the last estimate, in words; empty if it was valid
 
     def improve(self, t: float) -> Answer | None:
         """Send events to the smoother beside the loop and take its answer; returns each answer once."""
@@ -34,11 +34,6 @@ class ObserverOfOne(ABC, Generic[Answer]):
     @abstractmethod
     def _take_answer(self, answer: Answer) -> None:
         """Use an answer of the smoother."""
-
-    @property
-    def invalid_because(self) -> str:
-        """Reason of the last estimate; empty if it was valid."""
-        return self._invalid_because
 
     @property
     def cornered(self) -> bool:

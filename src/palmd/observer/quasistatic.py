@@ -83,7 +83,7 @@ class QuasistaticObserver:
         self.object_count = 0
         self.late_dropped = 0
         self._contacts = Contacts()
-        self._invalid_text = "no initial condition explains the contacts yet"
+        self.invalid_because = "no initial condition explains the contacts yet"
         self._palms = RecentReadings(4 * HALF_WIDTH_S)
         self._pads = {pad: RecentReadings(4 * HALF_WIDTH_S) for pad in PALMS}
         self._stop()
@@ -122,7 +122,7 @@ class QuasistaticObserver:
             self._stop()
         self._advance(t)
         found, present = self._found, self._smoothed_readings(t)
-        self._invalid_text = "no initial condition explains the contacts yet"
+        self.invalid_because = "no initial condition explains the contacts yet"
         if found is None or present is None:
             return empty_estimate(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
@@ -145,7 +145,7 @@ class QuasistaticObserver:
             explained=True,
         )
         valid = settled(evidence, SETTLED)
-        self._invalid_text = "" if valid else "; ".join(unmet(evidence, SETTLED, 1.0))
+        self.invalid_because = "" if valid else "; ".join(unmet(evidence, SETTLED, 1.0))
         for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array(now.joints)), strict=True):
             self._mass.weigh(self._contacts.last(pad), f)
         if valid:
@@ -164,11 +164,6 @@ class QuasistaticObserver:
             () if valid else reasons(evidence, SETTLED),
         )
         return dataclasses.replace(estimate, e_f=found.e_f, e_c=found.e_c)
-
-    @property
-    def invalid_because(self) -> str:
-        """Why the last `estimate` was invalid."""
-        return self._invalid_text
 
     def forget_object(self) -> bool:
         """Drop all readings and sets, as when the object leaves the palms."""

@@ -63,6 +63,7 @@ from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
+from palmd.system.reasons import NO_REASON, Code, Reason
 
 SPACING_S = 0.005  # of the nodes of the final fit
 LEAST_S = 1.0  # of a segment
@@ -84,14 +85,19 @@ ROUNDS = (slice(0, 2), slice(2, SMOOTH_FIRST), slice(SMOOTH_FIRST, None))
 more."""
 Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
-NO_SUCH_RIG = "the readings are explained only by a rig that differs widely from its description: calibrate it first"
-STICKS = (
-    "sticks: the palms do not vibrate, and no sequence of sticking and slipping explains the readings; vibrate the"
-    " palms, or turn them slowly and by more"
+NO_SUCH_RIG = Reason(
+    Code.RIG_CONTRADICTED,
+    "the readings are explained only by a rig that differs widely from its description: calibrate it first",
 )
-NO_ANSWER = (
+STICKS = Reason(
+    Code.STICKS,
+    "sticks: the palms do not vibrate, and no sequence of sticking and slipping explains the readings; vibrate the"
+    " palms, or turn them slowly and by more",
+)
+NO_ANSWER = Reason(
+    Code.UNEXPLAINED,
     "no motion of an object was found that explains the readings; check sign, zero and order of the pads and the rig's"
-    " lengths, then record it again while the palms turn more slowly"
+    " lengths, then record it again while the palms turn more slowly",
 )
 NO_NUMBERS = "the readings lead beyond the range of numbers: check the log's units, and record the run again"
 
@@ -125,7 +131,7 @@ def _reconstructed(
     try:
         return _of_segments(events, rig, seed, started, say, non_smooth)
     except NUMERICAL_FAILURES as error:
-        return _rejected(f"{NO_NUMBERS} ({error})", started)
+        return _rejected(Reason(Code.NOT_FINITE, f"{NO_NUMBERS} ({error})"), started)
 
 
 def _of_segments(
@@ -134,7 +140,8 @@ def _of_segments(
 ) -> Reconstruction:  # fmt: skip
     segments = _by_length(data_segments(events), rig)
     if not segments:
-        return _rejected("no second of the record has reports of both pads and the arm", started)
+        reason = Reason(Code.TOO_SHORT, "no second of the record has reports of both pads and the arm")
+        return _rejected(reason, started)
     search = _search(segments[0], rig)
     attempts = attempts_on(search)
     elsewhere: list[_Part] = []
@@ -162,9 +169,8 @@ def _of_segments(
         if main is not None and until_swap is not None and main.segment is until_swap.segment:
             segments = swapped
     if main is None:
-        return _rejected(
-            NOTHING_MOVES if nothing_moves(Search(segments[0], rig).record) else NO_ANSWER + _if_concave(rig), started
-        )
+        at_rest = nothing_moves(Search(segments[0], rig).record)
+        return _rejected(NOTHING_MOVES if at_rest else _if_concave(NO_ANSWER, rig), started)
     main = _checked_without_start(main, seed)
     if main.reason:
         return _result(main, (), rig, started)
@@ -226,7 +232,7 @@ def _in_doubt(
         other = _part_of(until_swap, seed)
         if other is not None and not other.reason:
             return other
-    unexplained = main is None or main.reason not in ("", AMBIGUOUS)
+    unexplained = main is None or main.reason not in (NO_REASON, AMBIGUOUS)
     return alternatives.result if unexplained and alternatives.result is not None else main
 
 
@@ -302,7 +308,7 @@ class _Part:
     record: Record
     belief: RigBelief
     as_described: bool
-    reason: str
+    reason: Reason
     mapped: _Mapped | None = None
 
     @property
@@ -437,7 +443,7 @@ def _refined(search: Search, finding: Minima) -> _Part:
     Outlines that are equally likely with the wider noise of a search without maps may differ in likelihood with maps.
     """
     best, rivals = _refitted(search, finding, finding.fits[0]), rivals_of(finding)
-    if best.reason not in ("", NO_SUCH_RIG) or not rivals:
+    if best.reason not in (NO_REASON, NO_SUCH_RIG) or not rivals:
         return best
     if best.mapped is None:
         return replace(best, reason=AMBIGUOUS)
@@ -484,9 +490,9 @@ def _refitted(search: Search, finding: Minima, found: Fit) -> _Part:
         fit = _fitted_twice(Smoother(search.library, record, prior), fit.guess, fit.noise)
     mapped = _mapped(search, record, prior, fit) if has_map(rig) else None
     as_described = np.array_equal(belief.sd, search.belief.sd)
-    part = _Part(search, prior, fit, record, belief, as_described, "", mapped)
+    part = _Part(search, prior, fit, record, belief, as_described, NO_REASON, mapped)
     reason = OVERFITTED if overfits(part.tested_fit) else misfit_reason(part.tested_fit, finding.record)
-    return replace(part, reason=reason or NO_SUCH_RIG * belief.contradicts_description(fit.guess))
+    return replace(part, reason=reason or (NO_SUCH_RIG if belief.contradicts_description(fit.guess) else NO_REASON))
 
 
 def _mapped(search: Search, record: Record, prior: Prior, fit: Fit) -> _Mapped:
@@ -547,11 +553,11 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, started
         record, prior, fit = mapped.record, mapped.known, mapped.fit
         reason = reason or misfit_reason(mapped.tested_fit, record)
     if reason and not explained(fit, record):
-        reason += _if_concave(rig)
+        reason = _if_concave(reason, rig)
     try:
         marginal = marginalised(library, record, prior, fit)
     except np.linalg.LinAlgError:
-        return _rejected(reason or "the fit is not a minimum", started, fit.chi2)
+        return _rejected(reason or Reason(Code.NOT_CONVERGED, "the fit is not a minimum"), started, fit.chi2)
     x, without_considered = marginal.mean.x, (marginal.mean.p[RIG], marginal.covariance[RIG, RIG])
     mean, covariance = np.concatenate([marginal.mean.p, x[-1]]), main.belief.considering(marginal.covariance)
     convex = made_convex(mean, covariance, _OUTLINE)
@@ -561,11 +567,12 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, started
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     conditional_outline = outline_of(p[C.SHAPE :], conditional_covariance(covariance, RIG, _OUTLINE), normals)
     if not reason and rms_sd(conditional_outline.h_sd, outline.touched) > SHARP_M:
-        reason = "the readings determine too little of the outline"
+        reason = Reason(Code.UNDETERMINED, "the readings determine too little of the outline")
     if not reason and (concavity := most_lying(p[C.SHAPE :], normals, rig.curvatures)) >= MOST_LYING:
-        reason = f"the palms are too concave for the object: kappa v reaches {concavity:.2f} at a contact"
+        text = f"the palms are too concave for the object: kappa v reaches {concavity:.2f} at a contact"
+        reason = Reason(Code.TOO_CONCAVE, text)
     if not reason and not convex:
-        reason = "only a hollow outline explains the readings"
+        reason = Reason(Code.IMPOSSIBLE, "only a hollow outline explains the readings")
     root = root_of(shape.basis(outline.theta, ORDER), covariance[_OUTLINE, _OUTLINE])
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
@@ -626,16 +633,18 @@ def _mass_of(main: _Part, rig: RigDescription, marginal: Marginal) -> tuple[floa
     return estimator.value, estimator.sd
 
 
-def _if_concave(rig: RigDescription) -> str:
-    """Text on concave palms as a possible reason why nothing explains the readings; empty for other palms."""
+def _if_concave(reason: Reason, rig: RigDescription) -> Reason:
+    """The reason why nothing explains the readings, with concave palms as a possible cause if there are any."""
+    if max(rig.curvatures) <= 0.0:
+        return reason
     curvatures = ", ".join(f"{kappa:.3g} 1/m" for kappa in rig.curvatures)
-    return f"; palms as concave as these ({curvatures}) may be too concave for it" if max(rig.curvatures) > 0.0 else ""
+    return replace(reason, text=f"{reason.text}; palms as concave as these ({curvatures}) may be too concave for it")
 
 
-def _rejected(reason: str, started: float, chi2: float = math.nan) -> Reconstruction:
+def _rejected(reason: Reason, started: float, chi2: float = math.nan) -> Reconstruction:
     none: FloatArray = np.zeros(0)
     nan = math.nan
     return Reconstruction(
         False, chi2, directions(), None, None, None, None, nan, nan, nan, nan, nan, nan,
-        none, np.zeros((0, 0)), none, none, none, none, none, none, reason, time.perf_counter() - started,
+        none, np.zeros((0, 0)), none, none, none, none, none, none, time.perf_counter() - started, reason,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from palmd.events import FloatArray
 from palmd.observer.record import total_duration
 from palmd.observer.shape_classification import UNCLASSIFIED, ShapeClass
 from palmd.observer.visits import Counts
+from palmd.system.reasons import NO_REASON, Reason
 
 PAUSE_S = 0.05  # between nodes, from which on the motion in between is unknown
 
@@ -56,8 +57,8 @@ class Reconstruction:
     psi: FloatArray
     omega0: FloatArray
     radii: FloatArray
-    reason: str
     seconds: float
+    reason: Reason = NO_REASON
     turned_sd: float = math.nan
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     shape_class: ShapeClass = UNCLASSIFIED

@@ -165,7 +165,7 @@ def _result(
         mass=mass.value, mass_sd=mass.sd, rig=search.prior.mean[RIG], rig_covariance=np.diag(search.prior.sd[RIG] ** 2),
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=psi, omega0=spin, radii=np.stack([support(p, each)[0] for each in normals.T]),
-        reason="", seconds=time.perf_counter() - started,
+        seconds=time.perf_counter() - started,
         sides=_sides(fit, p, covariance), shape_class=shape_class(theta, h, root_of(rows, covariance), touched),
     )  # fmt: skip
 

@@ -34,6 +34,7 @@ from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
+from palmd.system.reasons import NO_REASON, Code, Reason
 
 SPACING_S = 0.01  # of the nodes during the search
 FIRST_LOOK_S = 0.3  # readings that determine the object's size
@@ -77,9 +78,11 @@ HIGH_PROCESS_COST, HIGH_PRIOR_COST = 0.004, 30.0
 # lower limit: where the noise is less than described, a likely object has it too; smooth objects have 0.9 and more
 LEAST_CHI2 = 0.75
 MOST_PRIOR_COST = 60.0  # prior cost, of some thirty constants
-AMBIGUOUS = "another outline explains the readings as well"
-OVERFITTED = "only an unlikely object explains the readings, and it fits better than their noise allows"
-NOTHING_MOVES = "nothing moves: readings at rest do not determine the outline"
+AMBIGUOUS = Reason(Code.AMBIGUOUS, "another outline explains the readings as well")
+OVERFITTED = Reason(
+    Code.UNEXPLAINED, "only an unlikely object explains the readings, and it fits better than their noise allows"
+)
+NOTHING_MOVES = Reason(Code.UNDETERMINED, "nothing moves: readings at rest do not determine the outline")
 
 
 @dataclass(frozen=True, slots=True)
@@ -569,24 +572,25 @@ def beyond_question(fit: Fit, record: Record) -> bool:
     return consistent(fit.chi2, len(record.contact_value), SECOND_OPINION_SIGMAS)
 
 
-def rejection_reason(fit: Fit, finding: Minima) -> str:
-    """Reason to reject `fit`, the best of `finding` or a refinement of it; empty when it is accepted."""
-    return misfit_reason(fit, finding.record) or (AMBIGUOUS if rivals_of(finding) else "")
+def rejection_reason(fit: Fit, finding: Minima) -> Reason:
+    """Reason to reject `fit`, the best of `finding` or a refinement of it; none when it is accepted."""
+    return misfit_reason(fit, finding.record) or (AMBIGUOUS if rivals_of(finding) else NO_REASON)
 
 
-def misfit_reason(fit: Fit, record: Record) -> str:
-    """Why `fit` does not explain the readings, whether or not anything else does; empty when it does."""
+def misfit_reason(fit: Fit, record: Record) -> Reason:
+    """Why `fit` does not explain the readings, whether or not anything else does; none when it does."""
     if nothing_moves(record):
         return NOTHING_MOVES
     if not fit.settled:
-        return "the iteration has not converged"
+        return Reason(Code.NOT_CONVERGED, "the iteration has not converged")
     if not explained(fit, record):
         chi2 = f"chi2 {fit.chi2:.2f}, of the forces {fit.force_chi2:.2f}"
         costs = f"process noise {fit.process_cost:.0f}, prior {fit.prior_cost:.0f}, outliers in a row {fit.outlier_run}"
-        return f"no likely object and motion explain the readings to their noise: {chi2}; {costs}"
+        text = f"no likely object and motion explain the readings to their noise: {chi2}; {costs}"
+        return Reason(Code.UNEXPLAINED, text)
     if fit.outliers > MOST_OUTLIERS:
-        return f"{fit.outliers:.0%} of the readings are outliers"
-    return ""
+        return Reason(Code.OUTLIERS, f"{fit.outliers:.0%} of the readings are outliers")
+    return NO_REASON
 
 
 def rivals_of(finding: Minima) -> list[Fit]:

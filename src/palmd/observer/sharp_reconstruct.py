@@ -167,7 +167,7 @@ def _result(
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
-        reason="", seconds=time.perf_counter() - started,
+        seconds=time.perf_counter() - started,
         turned_sd=math.nan if len(record.gap_steps) else float(sd[len(p)]),
         sides=sides_of(p, covariance),
         shape_class=shape_class(theta, h, root_of(rows, covariance[shape, shape]), touched),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from palmd.events import DECIDED
+from palmd.system.reasons import Code
 
 MOST_NIS = 2.0  # largest running mean NIS of a consistent estimate; overestimated noise is no reason to reject
 RESUMED_FOR_S = 0.05  # s of readings after a silence, enough to show whether they are of the same object
@@ -64,7 +65,7 @@ class _Condition(NamedTuple):
     `words` also gets the running mean of the NIS.
     """
 
-    code: str
+    code: Code
     holds: Callable[[Evidence, Thresholds], bool]
     words: Callable[[Evidence, Thresholds, float], str]
 
@@ -78,39 +79,37 @@ def _inconsistent(_evidence: Evidence, _least: Thresholds, nis: float) -> str:
 
 
 _CONDITIONS = (
-    _Condition("untouched", lambda e, _: e.touching, lambda *_: "not both pads report a contact"),
-    _Condition("no-arm-reports", lambda e, _: e.palms_known, lambda *_: "no recent report of the palm angles"),
+    _Condition(Code.UNTOUCHED, lambda e, _: e.touching, lambda *_: "not both pads report a contact"),
+    _Condition(Code.NO_ARM_REPORTS, lambda e, _: e.palms_known, lambda *_: "no recent report of the palm angles"),
     _Condition(
-        "just-touched",
+        Code.JUST_TOUCHED,
         lambda e, _: e.resumed_for_s > RESUMED_FOR_S,
         lambda e, *_: f"contact resumed {e.resumed_for_s:.2f} s ago (limit {RESUMED_FOR_S:.2f} s)",
     ),
-    _Condition("not-finite", lambda e, _: e.finite, lambda *_: "a value is not finite"),
-    _Condition("inconsistent", lambda e, _: e.consistent, _inconsistent),
-    _Condition("rig-unknown", lambda e, _: e.rig_known, lambda *_: "the rig's constants are not estimated yet"),
+    _Condition(Code.NOT_FINITE, lambda e, _: e.finite, lambda *_: "a value is not finite"),
+    _Condition(Code.INCONSISTENT, lambda e, _: e.consistent, _inconsistent),
+    _Condition(Code.RIG_UNKNOWN, lambda e, _: e.rig_known, lambda *_: "the rig's constants are not estimated yet"),
     _Condition(
-        "unexplained",
+        Code.UNEXPLAINED,
         lambda e, _: e.explained,
         lambda *_: "the smoother rejects a smooth outline: a flat side, a corner or a second object?",
     ),
     _Condition(
-        "too-young",
+        Code.TOO_YOUNG,
         lambda e, least: e.age_s > least.age_s,
         lambda e, least, _: f"object observed for {e.age_s:.1f} s (limit {least.age_s:.1f} s)",
     ),
     _Condition(
-        "not-sharp",
+        Code.NOT_SHARP,
         lambda e, least: e.radius_sd_m < least.radius_sd_m,
         lambda e, least, _: _over("1σ of a radius", e.radius_sd_m, least.radius_sd_m),
     ),
     _Condition(
-        "ambiguous",
+        Code.AMBIGUOUS,
         lambda e, least: e.disagreement_m < least.disagreement_m,
         lambda e, least, _: _over("disagreement between hypotheses", e.disagreement_m, least.disagreement_m),
     ),
 )
-
-CODES = (*(condition.code for condition in _CONDITIONS), "not-settled")
 
 
 def settled(evidence: Evidence, least: Thresholds) -> bool:
@@ -121,7 +120,7 @@ def settled(evidence: Evidence, least: Thresholds) -> bool:
 def reasons(evidence: Evidence, least: Thresholds) -> tuple[str, ...]:
     """The codes of the conditions that fail; `not-settled` if none fails."""
     failed = tuple(condition.code for condition in _CONDITIONS if not condition.holds(evidence, least))
-    return failed or ("not-settled",)
+    return failed or (Code.NOT_SETTLED,)
 
 
 def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from palmd.observer.visits import Marks
+from palmd.system.reasons import Code, Reason
 
 ACCEPTED, PARTIAL, REJECTED = "accepted", "partial", "rejected"
 MIN_COVERAGE = 0.10
 """Smallest fraction of the normals that an accepted result covers (convention)."""
 
 
-def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, Any]:
-    """The fields `verdict`, `converged`, `coverage` (0 to 1) and `reason` of a result.
+def verdict(explained: bool, touched: Marks | None, reason: Reason) -> dict[str, Any]:
+    """The fields `verdict`, `converged`, `coverage` (0 to 1), `reason` and `reason_code` of a result.
 
     explained: whether the readings are explained to within their noise. touched: whether each normal was touched, None
     without an outline. `converged` is True for accepted results only.
@@ -23,11 +24,13 @@ def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, An
     coverage = 0.0 if touched is None else float(np.mean(touched))
     found = (ACCEPTED if coverage >= MIN_COVERAGE else PARTIAL) if explained else REJECTED
     if found == PARTIAL:
-        reason = (
+        reason = Reason(
+            Code.LOW_COVERAGE,
             f"only {coverage:.1%} of the normals were touched, and the estimate holds for these; at least"
-            f" {MIN_COVERAGE:.0%} are needed: move the palms so that the object rolls farther"
+            f" {MIN_COVERAGE:.0%} are needed: move the palms so that the object rolls farther",
         )
-    return {"verdict": found, "converged": found == ACCEPTED, "coverage": coverage, "reason": reason or None}
+    why = {"reason": reason.text or None, "reason_code": reason.code or None}
+    return {"verdict": found, "converged": found == ACCEPTED, "coverage": coverage, **why}
 
 
 def in_one_line(line: Mapping[str, Any], summary: str) -> str:

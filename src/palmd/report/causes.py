@@ -41,12 +41,12 @@ FOREIGN_LINE_RATIO = 3.0  # in data of other devices line ends are rarer by this
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
 _BUS = ("arm_bytes", "arm_packets", "arm_crc_errors", "arm_discarded")
 DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # fraction of a bus's bytes outside packets that shows damage, foreign data
-MIN_PACKET_BYTES, MIN_LINE_BYTES = 8, 31  # fewer bytes may be the rest of a packet, or of a line
 DISCARDED_BYTES = 24  # per second; fewer are normal losses
 FOREIGN_DATA_S = 0.2  # of bytes without a packet: another device sends
 COMMANDED = "_cmd_"
 TOGETHER_S = 0.15  # longest time between the ends of contact on both pads if the object was lifted off
 CONTROLLER_WATCHDOG_MS, SETPOINT_MS = 160, 16
+BREAK, NO_SETPOINTS = "-0504", "-0600"  # errors of the controller
 
 _ARM_STATES: dict[str, tuple[str, str]] = {
     "arm-estop": ("estop", "the arm's emergency stop was pressed"),
@@ -130,15 +130,9 @@ class RunCase:
 
     def logged(self, kind: str, name: str, t: float) -> LogEntry | None:
         """The latest log entry of this kind and name around `t` that reports a beginning; None if there is none."""
-        entries = (entry for entry in reversed(self.timeline.log) if entry.kind == kind and entry.name == name)
-        return next(
-            (
-                entry
-                for entry in entries
-                if math.isnan(entry.lasted_s) and t - BEFORE_FAULT_S < entry.t_s <= t + AFTER_FAULT_S
-            ),
-            None,
-        )
+        near = (each for each in reversed(self.timeline.log) if t - BEFORE_FAULT_S < each.t_s <= t + AFTER_FAULT_S)
+        begun = (each for each in near if (each.kind, each.name) == (kind, name) and math.isnan(each.lasted_s))
+        return next(begun, None)
 
 
 # ---------------------------------------------------------------------------------------------------- of a fault
@@ -177,6 +171,12 @@ def _logged_evidence(case: RunCase, code: str, t: float) -> tuple[Clue, ...]:
     return () if entry is None else (Clue("palm/log", f"{code}: {entry.text}"),)
 
 
+def _finding(case: RunCase, code: str, t: float) -> str:
+    """The daemon's own finding about a fault, from its log, as a code; empty in old runs."""
+    entry = case.logged("fault", code, t)
+    return "" if entry is None else entry.code
+
+
 def _state_clue(case: RunCase, code: str, t: float) -> Clue:
     return Clue("palm/state", f"{code} from {case.rel(t)} on")
 
@@ -194,8 +194,7 @@ def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
         before = [true for fed, true in case.closeup.readings.get(int(code[3]), []) if fed <= t]
         return bool(before) and before[-1] > stall.begin - STALL_READING_S
     if code == "arm-fault":
-        entry = case.logged("fault", code, t)
-        return entry is None or "-0600" in entry.text or "error" not in entry.text
+        return _finding(case, code, t) in ("", NO_SETPOINTS)
     return code in ("arm-link-lost", "arm-left-tracking", "arm-servo-watchdog", "loop-overruns")
 
 
@@ -278,24 +277,23 @@ def _state_letter_change(case: RunCase, t: float) -> tuple[Clue, ...]:
 
 def _controller(case: RunCase, code: str, t: float) -> StopCause:
     """Cause of a fault latched by the controller: from its error code, or from how long the line was dead before."""
-    entry = case.logged("fault", code, t)
-    text = "" if entry is None else entry.text
+    error = _finding(case, code, t)
     evidence = (*_state_letter_change(case, t), *_logged_evidence(case, code, t))
-    if "-0504" in text:
+    if error == BREAK:
         sentence = "there was a break on the arm's line: its controller latched error -504"
         return StopCause("break", "arm", sentence, evidence)
     line = _link(case, code, t)
     if line.kind in ("damaged", "foreign"):
         return line
     silent_ms = _oldest_ms(case, "arm_age_ms", t)
-    if silent_ms >= ARM_QUIET_S * 1e3 or "-0600" in text:
+    if silent_ms >= ARM_QUIET_S * 1e3 or error == NO_SETPOINTS:
         quiet = Clue(case.topics.contact.name, f"the arm's last answer was up to {silent_ms:.0f} ms old before that")
         sentence = (
             f"the arm's controller received no set-point for {CONTROLLER_WATCHDOG_MS} ms, stopped and latched error "
             f"-600: the line was dead, while palmd sent a set-point every {SETPOINT_MS} ms"
         )
         return StopCause("watchdog", "arm", sentence, (quiet, *evidence))
-    how = "of its own" if text else "while the line was alive: a break, or an internal fault"
+    how = "of its own" if case.logged("fault", code, t) else "while the line was alive: a break, or an internal fault"
     return StopCause("controller", "arm", f"the arm's controller latched a fault {how}", evidence)
 
 
@@ -348,15 +346,14 @@ def _line(case: RunCase, code: str, t: float) -> StopCause:
         evidence.append(Clue("palm/loop", f"{counts}, {unframed:.0f} without any {between}"))
         ends += wrong + unframed
         excess = max(excess, read - LINE_BYTES * whole)
-    logged = _logged_evidence(case, code, t)
-    if _bytes_since(logged) < MIN_LINE_BYTES and excess <= LINE_BYTES and ends <= 1.0:
+    if _finding(case, code, t) != "unreadable" and excess <= LINE_BYTES and ends <= 1.0:
         kind, sentence = "mute", "the arm's controller sent no more data"
     elif ends > 1.0 and excess < FOREIGN_LINE_RATIO * LINE_BYTES * ends:  # line ends at the expected rate
         kind, sentence = "damaged", "the data from the arm's controller were damaged: hardly any line was complete"
     else:
         kind = "foreign"
         sentence = "the data on the arm's line were not answers: another device, or another baud rate"
-    return StopCause(kind, "arm", sentence, (*evidence, *logged))
+    return StopCause(kind, "arm", sentence, (*evidence, *_logged_evidence(case, code, t)))
 
 
 def _arm_age(case: RunCase, t: float, what: str, lost: str) -> Clue:
@@ -396,18 +393,18 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     """Cause of a silent pad: no data, or no valid packets."""
     end = code.removesuffix("-silent")
     evidence = [*_ages(case, int(end[-1]), t)]
-    logged = _logged_evidence(case, code, t)
+    logged, finding = _logged_evidence(case, code, t), _finding(case, code, t)
     kind = getattr(case.config.pads, f"palm{end[-1]}").kind
     names = tuple(f"{end}_{name}" for name in pad_counter_names(kind) or ())
     lost = 0.0
-    if any("not even a damaged one's" in each.what for each in logged):  # the daemon has checked byte by byte
+    if finding == "foreign":  # the daemon has checked byte by byte
         sentence = f"the data on pad {end[-1]}'s line were not packets: another device, or another baud rate"
         return StopCause("foreign", end, sentence, (*evidence, *logged))
     for (read, packets, discarded), between in _counted(case, names, t, t + 1.0) if names else ():
         counts = f"received {read:.0f} bytes, {packets:.0f} packets, {discarded:.0f} bytes outside packets {between}"
         evidence.append(Clue("palm/loop", counts))
         lost = max(lost, discarded)
-    if _bytes_since(logged) < MIN_PACKET_BYTES if logged else lost < DISCARDED_BYTES:
+    if finding == "mute" or (not finding and lost < DISCARDED_BYTES):
         return StopCause("mute", end, f"pad {end[-1]} sent no more data", (*evidence, *logged))
     if case.timeline.fault_duration(code, t) >= FOREIGN_DATA_S:
         sentence = f"the data on pad {end[-1]}'s line were not packets: another device, or another baud rate"
@@ -432,17 +429,6 @@ def _ages(case: RunCase, pad: int, t: float) -> tuple[Clue, ...]:
 def _oldest_ms(case: RunCase, name: str, t: float) -> float:
     ages = [float(fields[name]) for when, fields in case.closeup.contact if t - BEFORE_FAULT_S < when <= t + 0.02]
     return max((age for age in ages if math.isfinite(age)), default=math.nan)
-
-
-def _bytes_since(logged: Sequence[Clue]) -> int:
-    """Bytes received since the last good packet or answer, parsed from the daemon's log; 0 if whole lines came."""
-    for each in logged:
-        if "whole lines" in each.what and "with 0 whole lines" not in each.what:
-            return 0
-        words = each.what.split(" bytes have come since")[0].split()
-        if " bytes have come since" in each.what and words[-1].isdigit():
-            return int(words[-1])
-    return 0
 
 
 # ------------------------------------------------------------------------------------------------ without a fault

@@ -105,7 +105,7 @@ class PivotEstimate(LiveEstimate):
 
 @dataclass(frozen=True, slots=True)
 class PivotAnswer:
-    """A smoother's estimate from all readings until `t` (s), if `accepted`; else `reason` says why not.
+    """A smoother's estimate from all readings until `t` (s) if `accepted`; else `reason` and `reason_code` say why not.
 
     p: (CONSTANTS,) of `model.pivot`, with covariance. psi: the orientation at `t` (rad). h_sd: (360,) 1σ of the outline
     without its gauge, and `touched` (360,). Arrays are empty if it is not accepted.
@@ -119,6 +119,7 @@ class PivotAnswer:
     covariance: FloatArray
     h_sd: FloatArray
     touched: FloatArray
+    reason_code: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,11 +189,11 @@ class BodyAnswer:
     """A smoother's estimate from all readings until `t` (s).
 
     record_start: start of the record (s); a new one begins after a palm lost contact. accepted: whether the estimate
-    passed all tests; if not, `reason` says why, and the estimate is given for information. R: (3, 3) body to world,
-    omega (3,) (rad/s) at `t`, p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the
-    world, omega and p. h, h_sd: support function and its 1σ (m), and `touched`, for each direction. inertia_sd: (9,)
-    per unit mass (m²). mass, mass_sd: kg, NaN without force readings. unexplained_sd: 1σ of the readings' errors beyond
-    their noise, from truncated harmonics (m). Arrays are empty if no motion is known.
+    passed all tests; if not, `reason` and `reason_code` say why, and the estimate is given for information. R: (3, 3)
+    body to world, omega (3,) (rad/s) at `t`, p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of
+    turns in the world, omega and p. h, h_sd: support function and its 1σ (m), and `touched`, for each direction.
+    inertia_sd: (9,) per unit mass (m²). mass, mass_sd: kg, NaN without force readings. unexplained_sd: 1σ of the
+    readings' errors beyond their noise, from truncated harmonics (m). Arrays are empty if no motion is known.
     """
 
     t: float
@@ -212,3 +212,4 @@ class BodyAnswer:
     mass: float
     mass_sd: float
     unexplained_sd: float = 0.0
+    reason_code: str = ""

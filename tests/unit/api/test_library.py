@@ -23,6 +23,7 @@ from palmd.polygon import boundary
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
 from palmd.record.systems import three_palms
 from palmd.rig.simulate import simulate_log
+from palmd.system.reasons import NO_REASON
 from palmd.system.three_palms import ThreePalmsRig
 from tools.studies.space_logs import header
 
@@ -135,7 +136,7 @@ def test_a_three_dimensional_body_has_a_surface_and_no_outline(tmp_path, monkeyp
     n = len(directions)
     one, none = np.eye(3)[None], np.zeros((1, 3))
     ball = BodyReconstruction(
-        True, "", 1.0, directions, triangles, np.full(n, 0.02), np.full(n, 1e-5), directions[:, 2] > 0.0,
+        True, NO_REASON, 1.0, directions, triangles, np.full(n, 0.02), np.full(n, 1e-5), directions[:, 2] > 0.0,
         0.02 * directions, np.zeros(4), np.eye(3), np.eye(3), 0.1, 1e-3, 0.05, 1e-4,
         np.zeros(1), one, none, none, np.zeros((1, 3, 3)), 0.1,
     )  # fmt: skip

@@ -14,20 +14,22 @@ from palmd.record.result import as_line
 from palmd.record.systems import two_palms
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import PadSensor
+from palmd.system.reasons import Code, Reason
 from palmd.system.rig_constants import RIG_NAMES
 
 SECONDS = 2.5
 FIELDS = {
-    "verdict", "converged", "coverage", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m",
-    "mu", "mu_sd", "visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg", "mass_kg", "mass_sd_kg",
-    "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "shape_class", "looks_like",
+    "verdict", "converged", "coverage", "reason", "reason_code", "chi2", "theta_rad", "h_m", "h_sd_m", "touched",
+    "rho_m", "rho_sd_m", "mu", "mu_sd", "visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg",
+    "mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "shape_class",
+    "looks_like",
 }  # fmt: skip
 
 
 def answer(**changes):
     theta, t, rig = directions(), np.array([0.1, 0.2]), np.arange(float(len(RIG_NAMES)))
     values = {
-        "converged": True, "reason": "", "chi2": 1.0, "seconds": 1.5,
+        "converged": True, "chi2": 1.0, "seconds": 1.5,
         "theta": theta, "h": 0.02 + 0 * theta, "h_sd": 1e-5 + 0 * theta,
         "visits": 2 * (theta < 0.5) + (theta < 1.0), "touched": theta < 1.0,
         "rho": 0.014, "rho_sd": 1e-3, "mu": 0.1, "mu_sd": 0.01, "mass": math.nan, "mass_sd": math.nan,
@@ -48,7 +50,14 @@ def nothing():
     columns = dict.fromkeys(("t", "psi", "omega0", "rig"), none)
     columns |= {"radii": np.zeros((2, 0)), "rig_covariance": np.zeros((0, 0))}
     return answer(
-        converged=False, h=None, h_sd=None, touched=None, visits=None, reason="too little", **absent, **columns
+        converged=False,
+        h=None,
+        h_sd=None,
+        touched=None,
+        visits=None,
+        reason=Reason(Code.UNDETERMINED, "too little"),
+        **absent,
+        **columns,
     )
 
 
@@ -85,8 +94,9 @@ def test_the_result_has_the_fields_of_the_contract():
 def test_missing_values_are_null():
     line = as_line(nothing(), unweighed())
     assert set(line) == FIELDS
-    assert (line["converged"], line["reason"], len(line["theta_rad"])) == (False, "too little", 360)
-    absent = FIELDS - {"verdict", "coverage", "converged", "reason", "theta_rad", "seconds"}
+    assert (line["converged"], line["reason"], line["reason_code"]) == (False, "too little", "undetermined")
+    assert len(line["theta_rad"]) == 360
+    absent = FIELDS - {"verdict", "coverage", "converged", "reason", "reason_code", "theta_rad", "seconds"}
     assert [line[name] for name in absent] == [None] * len(absent)
     json.dumps(line, allow_nan=False)
     spoilt = as_line(answer(h=np.full(360, math.nan), chi2=math.inf), unweighed())

@@ -48,10 +48,10 @@ def test_a_fault_of_one_tick_is_logged_with_its_cause_and_duration(journal):
     notes = FaultNotes(journal)
     for t, active in ((1.0, ()), (1.01, (SILENT,)), (1.02, ())):
         journal.t = t
-        notes.look(active, t, lambda code, at: f"{code} at {at:g}")
+        notes.look(active, t, lambda code, at: (f"{code} at {at:g}", "mute"))
     came, went = journal.entries
     assert came.text == "pad 1 fell silent while the palms moved: pad1-silent at 1.01"
-    assert (came.name, came.severity, came.t_s) == ("pad1-silent", "hold", 1.01)
+    assert (came.name, came.severity, came.t_s, came.code) == ("pad1-silent", "hold", 1.01, "mute")
     assert math.isnan(came.lasted_s)
     assert (went.name, went.lasted_s) == ("pad1-silent", pytest.approx(0.01))
 
@@ -61,7 +61,7 @@ def test_a_flapping_mild_fault_does_not_displace_other_entries_and_a_grave_one_i
     notes = FaultNotes(journal)
     for i in range(400):
         journal.t = 0.025 * i
-        notes.look((fault,) * (i % 2), journal.t, lambda *_: "")
+        notes.look((fault,) * (i % 2), journal.t, lambda *_: ("", ""))
     assert most // 2 < journal.count <= most
 
 

@@ -29,6 +29,7 @@ from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
 from palmd.rig.three_palms.plant import BodyOnPalms, FrictionParameters
+from palmd.system.reasons import Code
 from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()
@@ -383,7 +384,7 @@ def test_an_unconfirmed_motion_is_not_accepted(live_run):
     enough = -(-2 * first.intervals // 3)
     assert live_run.smoother._make_answer(task, [replace(first, confirmed=enough)]).accepted
     result = live_run.smoother._make_answer(task, [replace(first, confirmed=enough - 1)])
-    assert (result.accepted, result.reason) == (False, "the motion is not yet confirmed by an independent restart")
+    assert (result.accepted, result.reason_code) == (False, Code.UNCONFIRMED)
 
 
 def test_the_filter_catches_up_and_is_consistent(live_run):
@@ -392,7 +393,8 @@ def test_the_filter_catches_up_and_is_consistent(live_run):
     result = live_run.replayed(observer, stub, live_run.END + 0.5, live_run.END + 0.05)
     before = [each for each in result if each.t < live_run.END]
     assert not any(each.valid for each in before)
-    assert before[-1].reason == "no motion found yet that explains the readings"
+    assert before[-1].invalid_reasons == (Code.NO_OBJECT,)
+    assert (Code.CATCHING_UP,) in {each.invalid_reasons for each in result}
     valid = [each for each in result if each.valid]
     assert valid
     assert valid[0].t < live_run.END + 0.3
@@ -464,7 +466,7 @@ def test_a_short_silence_of_a_pad_only_interrupts_validity(live_run):
     observer.feed(PadLift(live_run.END + 0.405, 2))  # on a busy machine late packets can cause this
     result = continued(live_run, observer, live_run.END + 0.4, live_run.END + 0.45, without=2)
     assert not result.valid
-    assert result.reason == "nothing touches palm 2"
+    assert (result.reason, result.invalid_reasons) == ("nothing touches palm 2", (Code.UNTOUCHED,))
     result = continued(live_run, observer, live_run.END + 0.45, live_run.END + 0.5)
     assert result.valid, result.reason
 
@@ -502,13 +504,11 @@ def test_the_planning_belief_has_pose_and_touched_normals(live_run):
     observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # the accepted motion is slightly contradicted
     assert observer.has_planning_belief
     assert not observer.planning_belief(live_run.END + 0.4).accepted
-    stub.next = replace(live_run.answer, accepted=False, reason="the readings determine too little of the shape")
+    stub.next = replace(live_run.answer, accepted=False, reason="too little", reason_code="undetermined")
     result = continued(live_run, observer, live_run.END + 0.4, live_run.END + 0.45)
-    assert (result.valid, observer.has_planning_belief, observer.planning_belief(live_run.END + 0.45).accepted) == (
-        False,
-        True,
-        False,
-    )
+    assert (result.valid, result.reason, result.invalid_reasons) == (False, "too little", (Code.UNDETERMINED,))
+    assert observer.has_planning_belief
+    assert not observer.planning_belief(live_run.END + 0.45).accepted
     stub.next = replace(live_run.answer, hypotheses=0, accepted=False)
     continued(live_run, observer, live_run.END + 0.45, live_run.END + 0.5)
     assert not observer.has_planning_belief
@@ -534,6 +534,7 @@ def test_the_next_records_frame_follows_from_the_lost_one_while_that_predicts(li
         stub.next = lost
         result = continued(live_run, observer, at, at + 0.05)
         assert (result.valid, result.reason, observer.planning_belief(at + 0.05)) == (False, lost.reason, None)
+        assert result.invalid_reasons == (Code.OTHER,)  # its answer has no code, as in older recordings
         if not predicts:
             observer._previous._body[12] = 1.1 * live.NIS_PREDICTIVE
         stub.next = turned(live_run.answer, G, live_run.answer.record_start + 1.0)
@@ -603,20 +604,14 @@ def test_a_confirmed_and_proven_hypothesis_may_cost_as_much_as_truncation(live_r
     monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
     assert smoother._make_answer(task, costly).accepted
     worse = [replace(ended[0], cost=1.1 * reconstruct.PROVEN_COST * ended[0].record.numbers)]
-    assert (
-        smoother._make_answer(task, worse).reason
-        == "no motion that satisfies the equations of motion explains the readings"
-    )
+    assert smoother._make_answer(task, worse).reason_code == Code.UNEXPLAINED
 
 
 def test_a_tumbled_body_may_cost_no_more_than_noise(live_run):
     task, (first, *_) = live_run.propagated
     tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, 9.0))
     costly = replace(first, motion=tumbled, cost=1.2 * first.record.numbers)
-    assert (
-        reconstruct.reconstruction_of(task, [costly]).reason
-        == "no motion that satisfies the equations of motion explains the readings"
-    )
+    assert reconstruct.reconstruction_of(task, [costly]).reason.code == Code.UNEXPLAINED
 
 
 def test_a_start_of_a_whole_record_above_the_cost_limit_is_rejected(live_run, monkeypatch):
@@ -672,7 +667,7 @@ def test_after_a_failed_innovation_test_a_hypothesis_needs_confirmation(live_run
     monkeypatch.setattr(incremental, "propagate_and_prune", lambda *_, **__: [on])
     result = smoother.answer()
     assert smoother._hypotheses[0].is_confirmed is (innovation_test < 3.0)
-    assert (result.reason == reconstruct.UNCONFIRMED) is (innovation_test > 3.0)
+    assert (result.reason_code == Code.UNCONFIRMED) is (innovation_test > 3.0)
     assert (smoother._confirmed_since == math.inf) is (innovation_test > 3.0)
 
 

@@ -31,6 +31,7 @@ from palmd.record.replay import replay
 from palmd.score import score_outline, score_shape
 from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
+from palmd.system.reasons import Code
 
 SECONDS = 6.0
 reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # the package has a function of the same name
@@ -101,7 +102,8 @@ def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cra
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
     assert not answer.converged
-    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason)
+    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason.text)
+    assert answer.reason.code == Code.UNEXPLAINED
 
 
 def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle, few, monkeypatch):
@@ -110,7 +112,10 @@ def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle
     monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
     answer = reconstruct(few[0], log.rig)
     assert not answer.converged
-    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason)
+    assert re.match(
+        r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason.text
+    )
+    assert answer.reason.code == Code.TOO_CONCAVE
 
 
 def test_the_live_observer_converges_to_the_truth(cradle):

@@ -9,10 +9,11 @@ from palmd.observer.force_gain import DRIFT_S, HYSTERESIS
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.fit import gain_modes
 from palmd.observer.pivot.incremental import ACCEPTED_M, answer_of
-from palmd.observer.pivot.reconstruct import reconstruct, rejected
+from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.observer.pivot.record import PivotRecord, Rows, TouchSpan
 from palmd.system.description import PadSensor
 from palmd.system.pivot import PivotRig
+from palmd.system.reasons import Code, Reason
 
 STD = 0.03
 
@@ -63,5 +64,7 @@ def test_an_outline_with_a_large_sd_is_not_accepted_live():
     found = replace(reconstruct((), PivotRig()), converged=True, outline_sd_m=2.0 * ACCEPTED_M)
     answer = answer_of(found, 1.0)
     assert not answer.accepted
-    assert answer.reason == "the outline's standard deviation is 0.10 mm; 0.05 mm is accepted"
-    assert not answer_of(rejected("why"), 1.0).accepted
+    assert (answer.reason, answer.reason_code) == (
+        "the outline's standard deviation is 0.10 mm; 0.05 mm is accepted", Code.NOT_SHARP
+    )  # fmt: skip
+    assert not answer_of(PivotReconstruction(False, Reason(Code.OTHER, "why")), 1.0).accepted

@@ -9,16 +9,17 @@ from palmd.events import PadSample, PalmSample
 from palmd.observer.outline import directions
 from palmd.observer.pivot import incremental
 from palmd.observer.pivot.incremental import AGREE_S, IncrementalPivotSmoother, to_log_event
-from palmd.observer.pivot.reconstruct import rejected
+from palmd.observer.pivot.reconstruct import PivotReconstruction
 from palmd.system.pivot import PivotRig
+from palmd.system.reasons import NO_REASON, Code
 
 SLIDE = PivotRig(vertical="float", carriage_mass=0.05)
 THETA = directions()
 ROUND = 0.02 + 1e-3 * np.cos(2 * THETA)
 OTHER = ROUND + 4e-4 * np.cos(3 * THETA)
 FOUND = replace(
-    rejected(""), converged=True, h=ROUND, h_sd=np.full(360, 1e-5), touched=np.ones(360, dtype=bool), outline_sd_m=1e-5,
-    p=np.zeros(33), covariance=np.eye(33), t=np.array([1.0]), psi=np.array([0.0]),
+    PivotReconstruction(True, NO_REASON), h=ROUND, h_sd=np.full(360, 1e-5), touched=np.ones(360, dtype=bool),
+    outline_sd_m=1e-5, p=np.zeros(33), covariance=np.eye(33), t=np.array([1.0]), psi=np.array([0.0]),
 )  # fmt: skip
 
 
@@ -43,7 +44,7 @@ def smoother(monkeypatch):
 
 def test_an_outline_is_accepted_when_more_readings_confirm_it(smoother):
     smoother.add(contact_readings(0.0, 4.0))
-    assert "once more readings confirm it" in smoother.answer().reason
+    assert smoother.answer().reason_code == Code.UNCONFIRMED
     smoother.add(contact_readings(4.0, 4.0 + AGREE_S / 2))
     assert not smoother.answer().accepted
     smoother.add(contact_readings(4.0 + AGREE_S / 2, 4.1 + AGREE_S))

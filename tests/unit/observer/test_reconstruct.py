@@ -17,10 +17,12 @@ from palmd.observer.data_segment import data_segments
 from palmd.observer.initialiser import attempts_for
 from palmd.observer.reconstruct import LATER_ATTEMPTS, SMOOTH_FIRST, reconstruct
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import NOTHING_MOVES, Search
+from palmd.observer.search import NOTHING_MOVES, Search, misfit_reason
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
+from palmd.system.reasons import Code
+from palmd.system.vibration import DRY
 from tools.studies import sbc
 from tools.studies.simulated import simulated as calibrated_run
 
@@ -67,7 +69,7 @@ def test_every_kind_of_run_is_reconstructed_within_its_error_bars(kind):
     run = simulated(kind, 1, SECONDS)
     answer, truth = reconstruct(run.events, run.rig), run.truth
     assert answer.converged, answer.reason
-    assert answer.reason == ""
+    assert not answer.reason
     assert not answer.contradicted.any()
     assert e_h(answer, run) < RIGHT_M
     assert 0.8 < answer.chi2 < 1.2
@@ -238,12 +240,12 @@ def test_a_rejected_log_of_many_segments_costs_a_limited_number_of_searches(monk
     assert [seen.count(each) for each in others] == [5, 2, 2]
 
 
-@pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])
-def test_a_too_short_record_is_not_accepted(seconds, reason):
+@pytest.mark.parametrize(("seconds", "code"), [(0.6, Code.TOO_SHORT), (1.05, Code.UNDETERMINED)])
+def test_a_too_short_record_is_not_accepted(seconds, code):
     run = simulated("friction", 1, 3.0)
     answer = reconstruct([event for event in run.events if event.t_sample < seconds], run.rig)
     assert not answer.converged
-    assert reason in answer.reason
+    assert answer.reason.code == code
 
 
 @pytest.mark.parametrize(
@@ -260,7 +262,7 @@ def test_a_too_short_record_is_not_accepted(seconds, reason):
 def test_without_one_source_nothing_is_accepted(run, keep):
     answer = reconstruct([event for event in run.events if keep(event)], run.rig)
     assert not answer.converged
-    assert "no second" in answer.reason
+    assert answer.reason.code == Code.TOO_SHORT
     assert answer.h is answer.h_sd is answer.touched is None
     assert len(answer.theta) == 360
     assert len(answer.t) == 0
@@ -310,7 +312,34 @@ def test_inconsistent_readings_are_rejected(run, how):
     assert reconstruct(few, run.rig).converged  # unchanged readings are accepted
     answer = reconstruct(pads_changed(few, spoil[how]), run.rig)
     assert not answer.converged
-    assert answer.reason
+    assert answer.reason.code == Code.UNEXPLAINED
+    dry = reconstruct(pads_changed(few, spoil[how]), replace(run.rig, vibration=DRY))
+    assert dry.reason.code == Code.STICKS
+
+
+def test_a_rig_that_contradicts_its_description_is_named(run, monkeypatch):
+    few = [event for event in run.events if event.t_sample < FEW_S]
+    monkeypatch.setattr(criticism.RigBelief, "contradicts_description", lambda *_: True)
+    answer = reconstruct(few, run.rig)
+    assert (answer.converged, answer.reason.code) == (False, Code.RIG_CONTRADICTED)
+
+
+def test_numerical_failures_are_named(run, monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(reconstructing, "data_segments", fails)
+    assert reconstruct(run.events, run.rig).reason.code == Code.NOT_FINITE
+
+
+@pytest.mark.parametrize(
+    ("change", "code"), [({"settled": False}, Code.NOT_CONVERGED), ({"outliers": 0.5}, Code.OUTLIERS)]
+)
+def test_a_fit_is_rejected_for_its_iteration_or_its_outliers(run, change, code):
+    segment = data_segments([event for event in run.events if event.t_sample < FEW_S])[0]
+    found = Search(segment, run.rig).blind(reconstructing.RETRY, 0)
+    assert not misfit_reason(found.fits[0], found.record)
+    assert misfit_reason(replace(found.fits[0], **change), found.record).code == code
 
 
 def test_an_undescribed_latency_gives_no_wrong_result():

@@ -35,6 +35,7 @@ from palmd.observer.three_palms.search import SPACING_S, Task, graduated_refit
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.observer.three_palms.touched_outline import directions_near, predictive_belief
 from palmd.record.systems.three_palms import SYSTEM, path_and_readings
+from palmd.system.reasons import Code
 from tools.studies.space import errors
 from tools.studies.space_logs import simulate
 
@@ -359,11 +360,13 @@ def test_unconfirmed_hypotheses_do_not_end_the_search_and_are_rejected(task, rig
     monkeypatch.setattr(propagation, "_start_sets", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
     assert propagation.ranked_hypotheses(task) == [right, alone]
     sd = np.full(3, 1e-5)
-    assert "not yet confirmed" in rejection_reason(task, [alone], sd, 0.0)
+    assert rejection_reason(task, [alone], sd, 0.0).code == Code.UNCONFIRMED
     assert not rejection_reason(task, [alone], sd, 0.0, proven=True)
     assert not rejection_reason(task, [alone], 9.0 * sd, 0.0, proven=True)
-    assert "too little" in rejection_reason(task, [replace(alone, confirmed=right.intervals)], 9.0 * sd, 0.0)
-    assert not rejection_reason(task, [replace(alone, confirmed=right.intervals)], sd, 0.0)
+    known = replace(alone, confirmed=right.intervals)
+    assert rejection_reason(task, [known], 9.0 * sd, 0.0).code == Code.UNDETERMINED
+    assert rejection_reason(task, [known], sd, 2.0 * propagation.HOLLOW_CHI2).code == Code.IMPOSSIBLE
+    assert not rejection_reason(task, [known], sd, 0.0)
 
 
 def test_branches_are_compared_over_the_same_time(task, now, monkeypatch):
@@ -557,7 +560,7 @@ def test_a_rotation_of_the_whole_body_is_not_an_error_of_its_shape():
 def test_a_hypothesis_that_ends_early_is_rejected(task, now):
     result = reconstruction_of(task, [now])
     assert not result.converged
-    assert "fails after 1.3 s" in result.reason
+    assert (result.reason.code, "1.3 s" in result.reason.text) == (Code.UNEXPLAINED, True)
 
 
 def test_unexplained_readings_reduce_the_information_about_truncated_harmonics():
@@ -677,6 +680,6 @@ def test_a_body_convex_where_it_was_touched_is_unchanged(now):
 def test_an_answer_is_rejected_beside_another_of_similar_cost(task, now):
     spun = replace(now, motion=replace(now.motion, omega=now.motion.omega + 0.2))
     short = replace(task, end=float(now.record.t[-1]))
-    assert "another motion" in rejection_reason(short, [now, spun], np.full(3, 1e-5), 0.0)
+    assert rejection_reason(short, [now, spun], np.full(3, 1e-5), 0.0).code == Code.AMBIGUOUS
     assert not rejection_reason(short, [now, replace(spun, cost=now.cost + 30.0)], np.full(3, 1e-5), 0.0)
     assert not rejection_reason(short, [now, replace(now, cost=now.cost + 1.0)], np.full(3, 1e-5), 0.0)

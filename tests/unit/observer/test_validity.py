@@ -16,8 +16,10 @@ from palmd.observer.validity import (
     consistent,
     identified,
     predictable,
+    reasons,
     settled,
 )
+from palmd.system.reasons import Code
 
 LEAST = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=2e-4)
 GOOD = Evidence(
@@ -39,24 +41,30 @@ def test_with_all_evidence_the_estimate_is_settled():
 
 
 @pytest.mark.parametrize(
-    "missing",
+    ("missing", "code"),
     [
-        {"touching": False},
-        {"palms_known": False},
-        {"resumed_for_s": RESUMED_FOR_S},
-        {"finite": False},
-        {"consistent": False},
-        {"age_s": 0.4},
-        {"radius_sd_m": 3e-4},
-        {"radius_sd_m": math.nan},
-        {"disagreement_m": 2e-4},
-        {"disagreement_m": math.nan},
-        {"rig_known": False},
-        {"explained": False},
+        ({"touching": False}, Code.UNTOUCHED),
+        ({"palms_known": False}, Code.NO_ARM_REPORTS),
+        ({"resumed_for_s": RESUMED_FOR_S}, Code.JUST_TOUCHED),
+        ({"finite": False}, Code.NOT_FINITE),
+        ({"consistent": False}, Code.INCONSISTENT),
+        ({"age_s": 0.4}, Code.TOO_YOUNG),
+        ({"radius_sd_m": 3e-4}, Code.NOT_SHARP),
+        ({"radius_sd_m": math.nan}, Code.NOT_SHARP),
+        ({"disagreement_m": 2e-4}, Code.AMBIGUOUS),
+        ({"disagreement_m": math.nan}, Code.AMBIGUOUS),
+        ({"rig_known": False}, Code.RIG_UNKNOWN),
+        ({"explained": False}, Code.UNEXPLAINED),
     ],
 )
-def test_without_any_single_piece_of_evidence_it_is_not_settled(missing):
-    assert not settled(GOOD._replace(**missing), LEAST)
+def test_without_any_single_piece_of_evidence_it_is_not_settled(missing, code):
+    evidence = GOOD._replace(**missing)
+    assert not settled(evidence, LEAST)
+    assert reasons(evidence, LEAST) == (code,)
+
+
+def test_with_all_evidence_only_convexity_or_identity_can_be_missing():
+    assert reasons(GOOD, LEAST) == (Code.NOT_SETTLED,)
 
 
 def test_the_nis_has_an_upper_limit():

@@ -78,7 +78,7 @@ def test_too_few_readings_do_not_converge(log, tmp_path, capsys):
     assert main(["reconstruct", str(path), "-o", str(out)]) == 0
     result = json.loads(out.read_text())
     assert result["converged"] is False
-    assert "a gap in the reports" in result["reason"]
+    assert (result["reason_code"], "a gap in the reports" in result["reason"]) == ("too-short", True)
     assert main(["reconstruct", str(path), "-o", str(tmp_path / "out.stl")]) == 1
     assert "there is no surface to write" in capsys.readouterr().err
 
@@ -87,6 +87,7 @@ def test_without_joints_the_library_gives_the_reason(log):
     answer = palmd.reconstruct(log({"t": 0.0, "pad": 1, "a_m": 0.01, "b_m": 0.01}))
     assert (answer.verdict, answer.coverage, len(answer.trajectory["t_s"])) == ("rejected", 0.0, 0)
     assert "joints" in answer.reason
+    assert answer.results["reason_code"] == "no-arm-reports"
 
 
 def test_unsupported_options_are_refused_in_one_sentence(log, tmp_path, capsys):
@@ -104,7 +105,8 @@ def test_a_log_is_estimated_tick_by_tick_with_the_fields_of_its_topic(log, tmp_p
     assert len(lines) == 47
     assert lines[-1]["beta_rad"] == pytest.approx(0.9)
     assert lines[-1]["valid"] is False
-    assert lines[-1]["reason"] == "no motion found yet that explains the readings"
+    assert lines[-1]["reason"]
+    assert lines[-1]["invalid_reasons"] == ["no-object"]
     assert {"quat_xyzw", "omega_x_rad_s", "com_z_m", "a3_m", "h2_m", "f1_n", "inertia_xx_m2"} <= set(lines[-1])
 
 

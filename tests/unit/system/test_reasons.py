@@ -1,26 +1,40 @@
 """Reasons have stable codes for programs."""
 
+import pickle
+
 import pytest
 
-from palmd.observer.pivot.reconstruct import ONE_SIDE
-from palmd.observer.three_palms.reconstruct import UNCONFIRMED
-from palmd.observer.validity import CODES as TWO_PALMS
-from palmd.system.reasons import CODES, MEANINGS, code_of
+from palmd.console.shipped import shipped
+from palmd.daemon.systems import live_system
+from palmd.messages import invalid_reasons
+from palmd.system.reasons import NO_REASON, Code, Reason
+from palmd.yamlfile import load_any_config
+from tools.studies.silent_observer import SilentObserver
+
+
+class Silent(SilentObserver):
+    name, object_count, late_dropped = "silent", 0, 0
+
+
+def test_a_code_is_its_text_and_has_a_meaning():
+    assert Code("no-force") is Code.NO_FORCE is pickle.loads(pickle.dumps(Code.NO_FORCE))
+    assert all(code == code.value == str(code) and code.meaning for code in Code)
+
+
+@pytest.mark.parametrize("unknown", ["", "what-a-later-version-says"])
+def test_an_unknown_code_is_read_as_the_generic_one(unknown):
+    assert Code(unknown) is Code.OTHER
+
+
+def test_a_reason_is_true_and_its_absence_false():
+    assert Reason(Code.UNTOUCHED, "nothing touches the pad")
+    assert not NO_REASON
 
 
 @pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        ("nothing touches palm 1, 3", "untouched"),
-        ("the outline's standard deviation is 0.12 mm; 0.05 mm is accepted", "not-sharp"),
-        ("what no version said 3 times", "other"),
-        ("", ""),
-    ],
+    ("configuration", "code"),
+    [("demo.yaml", Code.NO_ANSWER), ("pivot.yaml", Code.OBSERVER_FAILED), ("three_palms.yaml", Code.OBSERVER_FAILED)],
 )
-def test_a_reasons_code_leaves_out_its_values(words, code):
-    assert code_of(words) == code
-
-
-def test_every_code_has_a_meaning_and_the_observers_reasons_are_in_the_table():
-    assert set(CODES.values()) | set(TWO_PALMS) <= set(MEANINGS)
-    assert {ONE_SIDE, UNCONFIRMED} <= set(CODES)
+def test_an_observer_that_failed_has_a_code(configuration, code):
+    system = live_system(load_any_config(shipped(configuration)))
+    assert invalid_reasons(system.invalid_estimate(1.0, Silent())) == [code]

@@ -9,17 +9,19 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, rejected
+from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
 from palmd.observer.smoothing import SimulatedSmoothingOfOne
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
+from palmd.system.reasons import Code, Reason
 
 WINDOW_S = {"rigid": 90.0, "float": 20.0}  # length of the readings that are kept
 LEAST_S = 3.0  # contact before anything is tried
 PERIOD_S = 1.0
 ACCEPTED_M = 5e-5  # largest 1σ of an accepted outline on an exactly known rig; more readings improve it
 LATENCY_S = 0.5  # of a simulated smoother
+UNCONFIRMED = Reason(Code.UNCONFIRMED, "an outline was found; it is accepted once more readings confirm it")
 AGREE_S, AGREE_M = 4.0, 1e-4  # on a slide: time for which all outlines must agree, and their largest RMS difference
 
 
@@ -49,11 +51,11 @@ class IncrementalPivotSmoother:
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
         self._pads = len(readings)
-        if not self._slides and (reason := self._one_sided()):
-            return answer_of(rejected(reason), readings[-1])
+        if not self._slides and self._is_one_sided():
+            return answer_of(PivotReconstruction(False, ONE_SIDE), readings[-1])
         found = reconstruct(self._events, self._rig)
         if self._slides and found.converged and not self._is_confirmed(found, readings[-1]):
-            found = rejected("an outline was found; it is accepted once more readings confirm it")
+            found = PivotReconstruction(False, UNCONFIRMED)
         return answer_of(found, readings[-1])
 
     def _is_confirmed(self, found: PivotReconstruction, t: float) -> bool:
@@ -79,16 +81,15 @@ class IncrementalPivotSmoother:
             event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= set_down
         ]
 
-    def _one_sided(self) -> str:
-        """`ONE_SIDE` if all readings are on one side of the dead centre, so that a fit would be rejected; else ''."""
+    def _is_one_sided(self) -> bool:
+        """Whether all readings are on one side of the dead centre, so that a fit would be rejected."""
         x, ahead = math.nan, []
         for event in self._events:
             if isinstance(event, GripperSample):
                 x = event.x
             elif math.isfinite(event.s - x):
                 ahead.append(event.s - x > 0.0)
-        share = min(sum(ahead), len(ahead) - sum(ahead))
-        return ONE_SIDE if share < LEAST_READINGS else ""
+        return min(sum(ahead), len(ahead) - sum(ahead)) < LEAST_READINGS
 
 
 def _agree(before: PivotReconstruction, found: PivotReconstruction) -> bool:
@@ -113,16 +114,12 @@ def to_log_event(event: Event, *, slides: bool) -> PivotEvent | None:
 
 def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
     """Convert a reconstruction of readings until `t` (s) to an answer for the loop."""
-    none = np.zeros(0)
+    none, reason = np.zeros(0), found.reason
     if found.converged and found.outline_sd_m > ACCEPTED_M:
-        reason = (
-            f"the outline's standard deviation is {found.outline_sd_m * 1e3:.2f} mm; "
-            f"{ACCEPTED_M * 1e3:g} mm is accepted"
-        )
-        return PivotAnswer(t, False, reason, math.nan, none, np.zeros((0, 0)), none, none)
-    is_accepted = found.converged and found.h_sd is not None and found.touched is not None
-    if not is_accepted or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
-        return PivotAnswer(t, False, found.reason, math.nan, none, np.zeros((0, 0)), none, none)
+        sd = f"the outline's standard deviation is {found.outline_sd_m * 1e3:.2f} mm"
+        reason = Reason(Code.NOT_SHARP, f"{sd}; {ACCEPTED_M * 1e3:g} mm is accepted")
+    if reason or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
+        return PivotAnswer(t, False, reason.text, math.nan, none, np.zeros((0, 0)), none, none, reason.code)
     at = float(found.t[-1])
     return PivotAnswer(
         at, True, "", float(found.psi[-1]), found.p, found.covariance, found.h_sd, found.touched.astype(np.float64)

@@ -28,12 +28,17 @@ from palmd.observer.pivot.accepted import (
 )
 from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching
+from palmd.system.reasons import NO_REASON, Code, Reason
 
 NAME = "pivot"
 RECENT_S = 0.06  # of readings that a touched point is the mean of
 NIS_S, NIS_LIMIT, NIS_INITIAL = 0.5, 3.0, 1.0
 LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
 OUTLINE_SD_LIMIT_M = 1e-4  # 1σ of the outline at the contact, above which the orientation is not accepted
+_UNTOUCHED = Reason(Code.UNTOUCHED, "nothing touches the pad")
+_UNEXPLORED = Reason(Code.UNEXPLORED, "the outline has not been touched here yet")
+_CONTRADICTED = Reason(Code.INCONSISTENT, "the readings contradict the estimated outline")
+_NO_ORIENTATION = Reason(Code.INCONSISTENT, "the pivot is above the contact, or the height contradicts the outline")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +68,8 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
         self._rig = rig
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
-        self._reason = "no outline is known yet"
-        self._invalid_because = self._reason
+        self._reason = Reason(Code.NO_OBJECT, "no outline is known yet")
+        self.invalid_because = self._reason.text
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._recent: deque[PadSample] = deque()
@@ -120,10 +125,10 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
             unknown["mu"], sd["mu"] = body.mu
             unknown["moment"], sd["moment"] = body.moment
         if body is None or self._psi is None or reason:
-            return self._estimate_of(t, measured | unknown, sd, reason or "nothing touches the pad", valid=False)
+            return self._estimate_of(t, measured | unknown, sd, reason or _UNTOUCHED)
         now = self._present(t, body, self._psi, sd["z"])
         if now is None:
-            return self._estimate_of(t, measured | unknown, sd, _NO_ORIENTATION, valid=False)
+            return self._estimate_of(t, measured | unknown, sd, _NO_ORIENTATION)
         at = now.at
         sd |= {
             "e": now.e_sd,
@@ -135,8 +140,7 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
         values = measured | unknown | {"e": at.e, "s": x + at.e, "psi": now.psi, "omega0": now.omega0, "f": now.force}
         if math.isfinite(now.z_sd):
             values["z"], sd["z"] = at.h, now.z_sd
-        invalid_reason = "" if at.h_sd < OUTLINE_SD_LIMIT_M else "the outline has not been touched here yet"
-        return self._estimate_of(t, values, sd, invalid_reason, valid=not invalid_reason)
+        return self._estimate_of(t, values, sd, NO_REASON if at.h_sd < OUTLINE_SD_LIMIT_M else _UNEXPLORED)
 
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline about the pivot; None without an accepted one."""
@@ -192,22 +196,22 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
         """Relative 1σ of the force from that of the lever."""
         return now.e_sd / abs(now.at.e)
 
-    def _estimate_of(
-        self, t: float, values: Mapping[str, Any], sd: dict[str, float], reason: str, *, valid: bool
-    ) -> PivotEstimate:
-        count = self.object_count
-        self._invalid_because = reason
-        return PivotEstimate(t=t, valid=valid, observer=NAME, object_count=count, reason=reason, sd=sd, **values)
+    def _estimate_of(self, t: float, values: Mapping[str, Any], sd: dict[str, float], reason: Reason) -> PivotEstimate:
+        self.invalid_because = reason.text
+        return PivotEstimate(
+            t=t, valid=not reason, observer=NAME, object_count=self.object_count, reason=reason.text,
+            invalid_reasons=(reason.code,) if reason else (), sd=sd, **values,
+        )  # fmt: skip
 
-    def _invalid_reason(self) -> str:
-        """Why the orientation is not valid now; empty if it may be."""
+    def _invalid_reason(self) -> Reason:
+        """Why the orientation is not valid now; none if it may be."""
         if self._body is None:
             return self._reason
         if not self._touching:
-            return "nothing touches the pad"
+            return _UNTOUCHED
         if self._psi is None:
-            return "the orientation in which the body was put down is not known yet"
-        return "" if self._nis < NIS_LIMIT else "the readings contradict the estimated outline"
+            return Reason(Code.ORIENTATION_UNKNOWN, "the orientation in which the body was put down is not known yet")
+        return NO_REASON if self._nis < NIS_LIMIT else _CONTRADICTED
 
     def _lift(self) -> None:
         self._recent.clear()
@@ -252,7 +256,7 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
     def _take_answer(self, answer: PivotAnswer) -> None:
         self._answer = answer
         if not answer.accepted:
-            self._reason, self._body, self._psi = answer.reason, None, None
+            self._reason, self._body, self._psi = Reason(Code(answer.reason_code), answer.reason), None, None
         else:
             self._start_tracking(answer)
 
@@ -266,6 +270,3 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
             self._psi = self._body.orientation_by_steps(answer.psi, x, z)
         else:
             self._psi = self._body.locate(x, z, [each.s for each in self._recent], near=answer.psi)
-
-
-_NO_ORIENTATION = "the pivot is above the contact, or the height contradicts the outline"

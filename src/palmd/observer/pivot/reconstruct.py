@@ -31,6 +31,7 @@ from palmd.observer.pivot.fit import (
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import float_starts, prior_of, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
+from palmd.system.reasons import NO_REASON, Code, Reason
 from palmd.system.vibration import AVERAGED, INDEPENDENT
 
 STAGES = {
@@ -54,7 +55,10 @@ HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
 TORQUE_CHI2 = 4.0
 HOLLOW_M = 1e-3  # largest negative radius of curvature
 OUTSIDE_SIGMAS = 3.0  # standard deviations
-ONE_SIDE = "only one side of the dead centre was touched: touch both sides, so that the force relates them"
+ONE_SIDE = Reason(
+    Code.ONE_SIDE, "only one side of the dead centre was touched: touch both sides, so that the force relates them"
+)
+NO_MOTION = Code.UNEXPLAINED, "no motion of a body explains the readings"
 
 
 def _none() -> FloatArray:
@@ -68,12 +72,12 @@ class PivotReconstruction:
     theta, h, h_sd, touched: 360 normals, support function about the pivot, its 1σ, whether it was touched there. com:
     centre of mass from the pivot, in the body's frame at ψ = 0; inertia: about the pivot per mass; both only if the
     mass is observable. moment, inertia_kg: the same times the mass, observable from force alone. t, psi, omega0: the
-    trajectory during contact. reason: why it was rejected; empty if `converged`. p, covariance: the constants of
+    trajectory during contact. reason: why it was rejected; none if `converged`. p, covariance: the constants of
     `model.pivot`, None without a fit. outline_sd_m: RMS 1σ of the touched outline on an exactly known rig (m).
     """
 
     converged: bool
-    reason: str
+    reason: Reason
     chi2: float = math.nan
     theta: FloatArray = field(default_factory=directions)
     h: FloatArray | None = None
@@ -122,9 +126,9 @@ def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig) -> tuple[PivotRecon
         fits, problem = _minima(record)
         return _answer(problem, fits), fits[0].cost
     except TooLittleError as error:
-        return rejected(str(error)), math.inf
+        return PivotReconstruction(False, error.reason), math.inf
     except np.linalg.LinAlgError:
-        return rejected("no motion of a body explains the readings"), math.inf
+        return PivotReconstruction(False, Reason(*NO_MOTION)), math.inf
 
 
 def _most_likely(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
@@ -190,18 +194,17 @@ def _check_observable(record: PivotRecord) -> None:
     """Raise TooLittleError for runs that obviously do not determine an outline."""
     z = record.heights.value
     if z.min() <= 0.0:
-        raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: check z")
+        text = f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: check z"
+        raise TooLittleError(Code.PIVOT_MISPLACED, text)
     lift, path = (
         float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X])
     )
     if record.rig.vertical == "float" and path < LEAST_PATH_M:
-        raise TooLittleError(
-            f"the arm hardly moves ({path * 1e3:.2f} mm): without rolling the outline is not observable"
-        )
+        text = f"the arm hardly moves ({path * 1e3:.2f} mm): without rolling the outline is not observable"
+        raise TooLittleError(Code.UNDETERMINED, text)
     if record.rig.vertical == "rigid" and lift < LEAST_LIFT_M:
-        raise TooLittleError(
-            f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone does not determine the outline"
-        )
+        text = f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone does not determine the outline"
+        raise TooLittleError(Code.UNDETERMINED, text)
 
 
 def _minima(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
@@ -219,7 +222,7 @@ def _minima(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     fits = [fit for fit in fits if fit.cost < HOPELESS * fits[0].cost]
     fits = _distinct([_refined(problem, fit.c, fit.p, (UNSOFTENED,)) for fit in fits])
     if not fits:
-        raise TooLittleError("no motion of a body explains the readings")
+        raise TooLittleError(*NO_MOTION)
     problem = with_model_forces(problem, kernels, fits[0])
     refined = [problem.fit(fit.c, fit.p) for fit in fits]
     if not rigid and record.rig.vibration.law == "sign_pairs":
@@ -265,7 +268,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
         covariance = problem.covariance(best)
         moves = rig_error_modes(problem, best)
     except np.linalg.LinAlgError:
-        raise TooLittleError("the fit did not converge to a minimum") from None
+        raise TooLittleError(Code.NOT_CONVERGED, "the fit did not converge to a minimum") from None
     sd_known_rig = gauge_free_sd(
         theta,
         theta[touched],
@@ -277,7 +280,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     reason = _rejection_reason(record, best, fits[1:], theta, h, h_sd, touched)
     outline_sd_m = float(np.sqrt(np.mean(sd_known_rig[touched] ** 2)))
     if not reason and outline_sd_m > MOST_SD_M:
-        reason = "the readings determine too little of the outline"
+        reason = Reason(Code.UNDETERMINED, "the readings determine too little of the outline")
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
     mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
@@ -319,10 +322,10 @@ def _rejection_reason(
     h: FloatArray,
     h_sd: FloatArray,
     touched: npt.NDArray[np.bool_],
-) -> str:
-    """Why the best fit is rejected; empty if it is accepted."""
+) -> Reason:
+    """Why the best fit is rejected; none if it is accepted."""
     if (h + OUTSIDE_SIGMAS * h_sd < 0.0).any():
-        return "the pivot would lie outside the body: z contradicts the readings"
+        return Reason(Code.PIVOT_MISPLACED, "the pivot would lie outside the body: z contradicts the readings")
     rig = record.rig
     readings, forces = len(record.readings.t), len(record.forces.t)
     tests = [
@@ -333,25 +336,27 @@ def _rejection_reason(
     ]
     if not all(tests):
         figures = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
-        return f"z or force contradict the readings, or the body is not rigid: {figures}"
+        text = f"z or force contradict the readings, or the body is not rigid: {figures}"
+        return Reason(Code.UNEXPLAINED, text)
     if not best.converged:
-        return "the iteration has not converged"
+        return Reason(Code.NOT_CONVERGED, "the iteration has not converged")
     if best.outliers > MOST_OUTLIERS:
-        return f"{best.outliers:.0%} of the readings are outliers"
+        return Reason(Code.OUTLIERS, f"{best.outliers:.0%} of the readings are outliers")
     if rig.vertical == "rigid":
         t, e = record.readings.t, record.readings.value - record.readings.inputs[:, U.X]
         sides = np.sign([np.median(e[touch.contains(t)]) for touch in record.touches])
         if abs(sides.sum()) == len(sides):
             return ONE_SIDE
         if not forces:
-            return "the pad gives no force, which is needed to relate both sides of the dead centre"
+            text = "the pad gives no force, which is needed to relate both sides of the dead centre"
+            return Reason(Code.NO_FORCE, text)
     curvature = shape.basis(theta, ORDER) @ (best.p[P.SHAPE :] * (1 - shape.harmonic_of_coefficient(ORDER) ** 2))
     if curvature[touched].min() < -HOLLOW_M:
-        return "only a hollow outline explains the readings"
+        return Reason(Code.IMPOSSIBLE, "only a hollow outline explains the readings")
     for rival in rivals:
         if rival.cost < best.cost + AMBIGUOUS_COST and _differs(theta, touched, h, rival):
-            return "another outline explains the readings as well"
-    return ""
+            return Reason(Code.AMBIGUOUS, "another outline explains the readings as well")
+    return NO_REASON
 
 
 def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
@@ -369,8 +374,3 @@ def _ratio_of(
     steps = np.diag(1e-5 * np.abs(q) + 1e-12)
     gradient = np.array([(ratio(q + d) - ratio(q - d)) / (2 * d[i]) for i, d in enumerate(steps)])
     return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
-
-
-def rejected(reason: str) -> PivotReconstruction:
-    """A rejected reconstruction, without a fit."""
-    return PivotReconstruction(False, reason)

@@ -15,6 +15,7 @@ from palmd.events import FloatArray, PadSample
 from palmd.model.pivot import INPUTS, U
 from palmd.observer.pivot.arm_path import LEAST_SAMPLES, AxisPath, axis_path
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
+from palmd.system.reasons import Code, Reason
 
 IntArray = npt.NDArray[np.intp]
 
@@ -135,7 +136,11 @@ class ArmMotion:
 
 
 class TooLittleError(Exception):
-    """A record that does not determine an outline; the text says why."""
+    """A record that does not determine an outline, for this `reason`."""
+
+    def __init__(self, code: Code, text: str) -> None:
+        super().__init__(text)
+        self.reason = Reason(code, text)
 
 
 def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
@@ -143,11 +148,12 @@ def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
     samples = {each.t_sample: each for each in events if isinstance(each, GripperSample)}
     ordered = [samples[t] for t in sorted(samples)]
     if len(ordered) < LEAST_SAMPLES:
-        raise TooLittleError("the arm hardly reports the pivot's position")
+        raise TooLittleError(Code.NO_ARM_REPORTS, "the arm hardly reports the pivot's position")
     t, x = np.array([(each.t_sample, each.x) for each in ordered]).T
     heights = [each.z for each in ordered if each.z is not None]
     if len(heights) < len(ordered) or not rig.z_measured:
-        raise TooLittleError("the pivot's height is not measured, which is needed for the size of the outline")
+        text = "the pivot's height is not measured, which is needed for the size of the outline"
+        raise TooLittleError(Code.NO_HEIGHT, text)
     z = np.array(heights)
     noise = rig.arm_noise
     along_x = axis_path(t, x, [each.vx for each in ordered], [each.ax for each in ordered], noise)
@@ -159,7 +165,7 @@ def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Pivo
     """Lay out a run; raises TooLittleError if no contact is long enough."""
     found = _touches(events, arm, rig)
     if not found:
-        raise TooLittleError("the pad is never touched for long enough")
+        raise TooLittleError(Code.UNTOUCHED, "the pad is never touched for long enough")
     spacing = SPACING_S[rig.vertical]
     touches: list[TouchSpan] = []
     first = 0

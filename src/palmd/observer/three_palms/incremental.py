@@ -43,6 +43,7 @@ from palmd.observer.three_palms.reconstruct import UNCONFIRMED, inertia_sd, mass
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import CHANCE_SD, HOPELESS_COST, SPACING_S, Task, start_candidates
 from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
+from palmd.system.reasons import Code, Reason
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # rest before the palms move that a record begins with
@@ -118,7 +119,7 @@ class IncrementalBodySmoother:
             return None
         record_start, is_new = self._record_start, not self._hypotheses  # before `_give_up` resets it
         if is_new and not self._start_search(task):
-            return _unknown_answer(task, record_start, "no motion found yet that explains the readings")
+            return _unknown_answer(task, record_start, Code.NO_OBJECT, "no motion found yet that explains the readings")
         self._processed_until = task.end
         before = self._hypotheses[0].intervals
         ended = propagate_and_prune(task, self._hypotheses, branchings=BRANCHINGS_PER_UPDATE)
@@ -130,7 +131,7 @@ class IncrementalBodySmoother:
             self._reset_confirmation()
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
-            return _unknown_answer(task, record_start, "the motion no longer explains the readings")
+            return _unknown_answer(task, record_start, Code.UNEXPLAINED, "the motion no longer explains the readings")
         if first.growth_since_refit > 1.0:  # it was pruned before its refit, and the others cost more after theirs
             first = ended[0] = refit(task, first)
         if first.is_confirmed and first.cost_per_number < HOPELESS_COST:
@@ -293,7 +294,8 @@ class IncrementalBodySmoother:
         try:
             covariance: FloatArray = np.asarray(np.linalg.inv(first.end_belief.information), np.float64)
         except np.linalg.LinAlgError:
-            return _unknown_answer(task, self._record_start, "the fit did not converge to a minimum")
+            text = "the fit did not converge to a minimum"
+            return _unknown_answer(task, self._record_start, Code.NOT_CONVERGED, text)
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.end_belief.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.end_belief.R, first.end_belief.spin + x[3:STATES], x[STATES:]
         # recomputed, as earlier answers may have been wrong
@@ -309,25 +311,25 @@ class IncrementalBodySmoother:
         if not reason and not first.is_confirmed:
             reason = UNCONFIRMED
         if not reason and self._short_starts_due:
-            reason = "the readings are not explained to their noise, and restarts are pending"
-        if not reason:
-            self._accepted = True
+            reason = Reason(Code.UNEXPLAINED, "the readings are not explained to their noise, and restarts are pending")
+        self._accepted |= not reason
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
-            t=float(first.record.t[-1]), record_start=self._record_start, accepted=not reason, reason=reason,
+            t=float(first.record.t[-1]), record_start=self._record_start, accepted=not reason, reason=reason.text,
             hypotheses=len(self._hypotheses), R=turned, omega=spin, p=p,
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
             unexplained_sd=beliefs.unexplained_sd(task.noise.reading, max(first.cost_per_number - 1.0, 0.0)),
+            reason_code=reason.code,
         )  # fmt: skip
 
 
-def _unknown_answer(task: Task, record_start: float, reason: str) -> BodyAnswer:
+def _unknown_answer(task: Task, record_start: float, code: Code, text: str) -> BodyAnswer:
     none, square = np.zeros(0), np.zeros((0, 0))
     return BodyAnswer(
-        task.end, record_start, False, reason, 0, np.zeros((0, 3)), none, none, square, none, none, none, none,
-        math.nan, math.nan,
+        task.end, record_start, False, text, 0, np.zeros((0, 3)), none, none, square, none, none, none, none,
+        math.nan, math.nan, reason_code=code,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from palmd.observer.three_palms import body_filter
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.joint_track import REPORT_GAIN, JointTrack
+from palmd.system.reasons import NO_REASON, Code, Reason
 from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyPlanningBelief, ThreePalmsRig
 from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
@@ -40,6 +41,9 @@ LONGEST_S = 1e-2  # of a step ahead of the last reading
 TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and spin, at least
 FORCE_SHARE = 0.03
 NORMALS_EVERY_S = 0.02  # how often it is kept where the palms touch the body
+_NO_MOTION = Reason(Code.NO_OBJECT, "no motion found yet that explains the readings")
+_UNEXPLORED = Reason(Code.UNEXPLORED, "the body rolls onto surface that has not been touched yet")
+_CONTRADICTED = Reason(Code.INCONSISTENT, "the readings contradict the estimated motion")
 
 
 class BodyObserver(ObserverOfOne[BodyAnswer]):
@@ -119,17 +123,18 @@ class BodyObserver(ObserverOfOne[BodyAnswer]):
                 rotation, attitude = quaternion(now.R), tuple(spread.tolist())
                 worst = max(body_sd[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
                 if not reason and not worst < CONTACT_SD_LIMIT_M:
-                    reason = "the body rolls onto surface that has not been touched yet"
+                    reason = _UNEXPLORED
                 self._predictive = not missing and filtered.nis < NIS_PREDICTIVE and worst < CONTACT_SD_LIMIT_M
                 self._store_normals(now, t)
             else:
-                reason, self._filter = "the filter has diverged", None
-        self._invalid_because = reason
+                reason, self._filter = Reason(Code.INCONSISTENT, "the filter has diverged"), None
+        self.invalid_because = reason.text
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
             nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=rotation,
             attitude_sd=attitude, touched=0.0 if known is None else float(known.touched.mean()),
-            hypotheses=0 if answer is None else answer.hypotheses, reason=reason,
+            hypotheses=0 if answer is None else answer.hypotheses, reason=reason.text,
+            invalid_reasons=(reason.code,) if reason else (),
         )  # fmt: skip
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -243,26 +248,26 @@ class BodyObserver(ObserverOfOne[BodyAnswer]):
             now.propagate([], t, self._joints, LONGEST_S)
         return now
 
-    def _invalid_reason(self, t: float) -> str:
-        """Why the estimate is not valid now; empty if it may be."""
+    def _invalid_reason(self, t: float) -> Reason:
+        """Why the estimate is not valid now; none if it may be."""
         missing, answer = self._missing_input(t), self._answer
         if missing or answer is None:
             return missing
         if not answer.accepted:
-            return answer.reason
+            return Reason(Code(answer.reason_code), answer.reason)
         if self._filter is None:
-            return "the filter is catching up with the readings since the smoother's answer"
-        return "" if self._filter.nis < NIS_LIMIT else "the readings contradict the estimated motion"
+            return Reason(Code.CATCHING_UP, "the filter is catching up with the readings since the smoother's answer")
+        return NO_REASON if self._filter.nis < NIS_LIMIT else _CONTRADICTED
 
-    def _missing_input(self, t: float) -> str:
-        """Which input is missing now; empty if none is."""
+    def _missing_input(self, t: float) -> Reason:
+        """Which input is missing now; none if all are there."""
         contact_times = zip(PALMS, self._contact_times, strict=True)
         untouched = [palm for palm, at in contact_times if t - at > GAP_S or palm in self._lifted]
         if untouched:
-            return f"nothing touches palm {', '.join(map(str, untouched))}"
+            return Reason(Code.UNTOUCHED, f"nothing touches palm {', '.join(map(str, untouched))}")
         if self._joints is None or t - self._joints.t > GAP_S:
-            return "the joints are not reported"
-        return "no motion found yet that explains the readings" if self._answer is None else ""
+            return Reason(Code.NO_ARM_REPORTS, "the joints are not reported")
+        return _NO_MOTION if self._answer is None else NO_REASON
 
     def _store_normals(self, now: BodyFilter, t: float) -> None:
         """Store the contact normals, in the body's frame."""

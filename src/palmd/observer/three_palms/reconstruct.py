@@ -29,6 +29,7 @@ from palmd.observer.three_palms.propagation import (
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
 from palmd.observer.three_palms.touched_outline import directions_near, outline_rows
+from palmd.system.reasons import NO_REASON, Code, Reason
 from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5  # of a record
@@ -37,7 +38,7 @@ MOST_SD_M = 7e-5  # largest RMS 1σ of the touched surface
 PROVEN_COST, PROVEN_SD_M = 2.0, 1e-4
 """Limits of cost and χ² per number read, and of 1σ of the touched surface, for a live hypothesis that is proven: it was
 confirmed, and has predicted the readings for long since."""
-UNCONFIRMED = "the motion is not yet confirmed by an independent restart"
+UNCONFIRMED = Reason(Code.UNCONFIRMED, "the motion is not yet confirmed by an independent restart")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +48,12 @@ class BodyReconstruction:
     Surface: directions (D, 3), triangles (F, 3) between them, support function h, h_sd and touched (D,); points (D, 3)
     with these outward normals, made convex where untouched; coefficients of h as in `model.spherical`. inertia (3, 3)
     per unit mass. Trajectory: t (K,), R (K, 3, 3), omega (K, 3), centre (K, 3), contacts (K, 3 palms, 3) in the body's
-    frame, whose origin is the centre of mass, with R = 1 at the first node. reason: why it was rejected; empty if
+    frame, whose origin is the centre of mass, with R = 1 at the first node. reason: why it was rejected; none if
     `converged`.
     """
 
     converged: bool
-    reason: str
+    reason: Reason
     chi2: float = math.nan
     directions: FloatArray = field(default_factory=lambda: icosphere()[0])
     triangles: npt.NDArray[np.int64] = field(default_factory=lambda: icosphere()[1])
@@ -85,13 +86,13 @@ def reconstruct(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> B
 def _reconstructed(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> BodyReconstruction:
     start, end = longest_stretch(path, readings)
     if end - start < LEAST_S:
-        reason = f"no {LEAST_S:g} s without a gap in the reports of a pad or the joints"
-        return BodyReconstruction(False, reason)
+        text = f"no {LEAST_S:g} s without a gap in the reports of a pad or the joints"
+        return BodyReconstruction(False, Reason(Code.TOO_SHORT, text))
     inside = readings.within(start, end)
     task = Task(path, inside, ContactCurves.smoothed(inside), rig, start, end, FINER_ORDERS)
     ended = ranked_hypotheses(task)
     if not ended:
-        return BodyReconstruction(False, "no motion of a body explains the first readings")
+        return BodyReconstruction(False, Reason(Code.UNEXPLAINED, "no motion of a body explains the first readings"))
     return reconstruction_of(task, ended)
 
 
@@ -120,7 +121,8 @@ def reconstruction_of(task: Task, ended: Sequence[BodyHypothesis]) -> BodyRecons
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
-        return BodyReconstruction(False, "the fit did not converge to a minimum", fit.chi2)
+        reason = Reason(Code.NOT_CONVERGED, "the fit did not converge to a minimum")
+        return BodyReconstruction(False, reason, fit.chi2)
     p, hollow = first.made_convex(p, covariance)
     R, normals = fit.motion.R, first.touched_normals
     touched = directions_near(normals)
@@ -183,8 +185,8 @@ def remove_rotation(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np
 
 def rejection_reason(
     task: Task, ended: Sequence[BodyHypothesis], sd: FloatArray, hollow: float, *, proven: bool = False
-) -> str:
-    """Why the first hypothesis is rejected; empty if it is accepted.
+) -> Reason:
+    """Why the first hypothesis is rejected; none if it is accepted.
 
     sd: (T,) 1σ of the touched surface (m). hollow: χ² of the move that makes it convex there. proven: it was confirmed
     and has predicted the readings for long since, so that higher costs are attributed to truncated harmonics.
@@ -194,22 +196,24 @@ def rejection_reason(
         (PROVEN_COST, PROVEN_COST, PROVEN_SD_M) if proven else (MOST_CHI2, MOST_COST, MOST_SD_M)
     )
     if first.record.t[-1] < task.end - 0.1:
-        return f"the motion that explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
+        text = f"the motion that explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
+        return Reason(Code.UNEXPLAINED, text)
     if first.whole_fit.chi2 > most_chi2:
-        return "the readings are not explained to their noise"
+        return Reason(Code.UNEXPLAINED, "the readings are not explained to their noise")
     if first.cost_per_number > most_cost:
-        return "no motion that satisfies the equations of motion explains the readings"
+        text = "no motion that satisfies the equations of motion explains the readings"
+        return Reason(Code.UNEXPLAINED, text)
     if any(each.contradicts(first) for each in ended[1:]):
-        return "another motion explains the readings as well"
+        return Reason(Code.AMBIGUOUS, "another motion explains the readings as well")
     if first.needs_confirmation and not proven:
         return UNCONFIRMED
     if first.largest_lambda > MOST_LAMBDA:
-        return "only an impossible inertia explains the readings"
+        return Reason(Code.IMPOSSIBLE, "only an impossible inertia explains the readings")
     if hollow > HOLLOW_CHI2:
-        return "only a hollow body explains the readings"
+        return Reason(Code.IMPOSSIBLE, "only a hollow body explains the readings")
     if float(np.sqrt(np.mean(sd**2))) > most_sd:
-        return "the readings determine too little of the shape"
-    return ""
+        return Reason(Code.UNDETERMINED, "the readings determine too little of the shape")
+    return NO_REASON
 
 
 def mass_of(rig: ThreePalmsRig, hypothesis: BodyHypothesis) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
 from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.record.vibration_line import read_vibration
+from palmd.system.reasons import Code, Reason
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
 from palmd.three_palms_messages import estimate_fields, shape_fields
@@ -92,9 +93,9 @@ class ThreePalms:
         del seed, progress  # deterministic and fast
         joints, readings = path_and_readings(log)
         if joints is None:
-            reason = "the joints are never reported"
+            reason = Reason(Code.NO_ARM_REPORTS, "the joints are never reported")
             rejected = verdict.verdict(False, None, reason)
-            return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason)
+            return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason.text)
         answer = reconstruct(joints, readings, log.rig)
         line = as_line(answer)
         text = verdict.in_one_line(line, summary(answer) if answer.converged else "")
