@@ -204,7 +204,7 @@ def run(task: MiscalibrationTask) -> MiscalibrationRow:
     early = reconstruct(first, log.rig)
     answer = early if len(first) == len(events) else reconstruct(events, log.rig)
     row = result(
-        MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason.text,
+        MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
     truth, true = truth_of(truth_line), np.array([truth_line["rig"][name] for name in RIG_NAMES])

@@ -125,7 +125,7 @@ def row_of(
         MonteCarloRow,
         task,
         converged=bool(answer.converged),
-        reason=answer.reason.text,
+        reason=answer.reason,
         chi2=float(answer.chi2),
         mean_radius_m=float(np.mean(truth.h)),
         rho_m=_scalar(truth.rho, answer.rho, answer.rho_sd, bound.rho_sd),

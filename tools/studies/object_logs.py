@@ -146,7 +146,7 @@ def run(task: SharpTask) -> SharpRow:
     log, truth, shown = simulated(task)
     t_cpu = time.process_time()
     answer = reconstruct(log.events, log.rig)
-    row = result(SharpRow, task, reason=answer.reason.text, took_s=time.process_time() - t_cpu, shown=shown)
+    row = result(SharpRow, task, reason=answer.reason, took_s=time.process_time() - t_cpu, shown=shown)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))

@@ -127,7 +127,7 @@ def drawn_from_prior(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | Non
 
 def row_of(task: SbcTask, truth_line: Line, answer: Reconstruction) -> SbcRow:
     """The row of a reconstruction, compared with the simulator's truth."""
-    row = result(SbcRow, task, reason=answer.reason.text, chi2=float(answer.chi2))
+    row = result(SbcRow, task, reason=answer.reason, chi2=float(answer.chi2))
     truth = truth_of(truth_line)
     scored = outline_errors(answer, truth)
     if scored is None or answer.h is None:

@@ -274,7 +274,7 @@ def run_offline(task: SpaceTask) -> SpaceRow:
     spin = float(np.linalg.norm(run.truth["omega_rad_s"], axis=1).max())
     return result(
         SpaceRow, task, held=run.held, spin=spin, converged=answer.converged, h_error=error, ratio=ratio,
-        reason=answer.reason.text, took_s=took_s,
+        reason=answer.reason, took_s=took_s,
     )  # fmt: skip
 
 

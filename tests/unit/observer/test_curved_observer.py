@@ -102,7 +102,7 @@ def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cra
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
     assert not answer.converged
-    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason.text)
+    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason)
     assert answer.reason.code == Code.UNEXPLAINED
 
 
@@ -112,9 +112,7 @@ def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle
     monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
     answer = reconstruct(few[0], log.rig)
     assert not answer.converged
-    assert re.match(
-        r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason.text
-    )
+    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason)
     assert answer.reason.code == Code.TOO_CONCAVE
 
 

@@ -560,7 +560,7 @@ def test_a_rotation_of_the_whole_body_is_not_an_error_of_its_shape():
 def test_a_hypothesis_that_ends_early_is_rejected(task, now):
     result = reconstruction_of(task, [now])
     assert not result.converged
-    assert (result.reason.code, "1.3 s" in result.reason.text) == (Code.UNEXPLAINED, True)
+    assert (result.reason.code, "1.3 s" in result.reason) == (Code.UNEXPLAINED, True)
 
 
 def test_unexplained_readings_reduce_the_information_about_truncated_harmonics():

@@ -106,7 +106,7 @@ def _offline(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
     scored = outline_errors(answer, truth)
     values: dict[str, Any] = {
         "accepted": bool(answer.converged),
-        "reason": answer.reason.text,
+        "reason": answer.reason,
         "chi2": float(answer.chi2),
         "took_s": float(answer.seconds),
         "mu_z": (answer.mu - truth.mu) / answer.mu_sd,
