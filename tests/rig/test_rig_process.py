@@ -128,10 +128,7 @@ def test_the_control_socket_injects_faults_and_rejects_invalid_requests(rig):
 def test_unplugging_moves_the_port(rig):
     with rig("--inject", "unplug@pad2,after=0.5,for=0.5") as (_, found):
         before = Path(found["pad2"]).resolve()
-        with (
-            serial.Serial(found["pad2"], 9600, timeout=0) as pad,
-            pytest.raises((OSError, serial.SerialException)),
-        ):
+        with serial.Serial(found["pad2"], 9600, timeout=0) as pad, pytest.raises((OSError, serial.SerialException)):
             hear(pad, 5.0)
         deadline = time.monotonic() + 5.0
         while not Path(found["pad2"]).exists() and time.monotonic() < deadline:

@@ -91,9 +91,7 @@ def test_the_process_starts_once_and_only_when_needed() -> None:
     process.close()
 
 
-def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(
-    process: ExplorerProcess,
-) -> None:
+def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(process: ExplorerProcess) -> None:
     wait_for(process)
     assert process._process is not None
     number = process._process._process.pid

@@ -42,10 +42,7 @@ PACKETS = {
     "ids, empty packet": ([packet(500, 3, a(ID, 0)), packet(501, 3, a(ID, 0)), [MT]], [500, 501, "lift"]),
     "no ids, empty packet": ([packet(500, 3), packet(501, 3), [MT]], [500, 501, "lift"]),
     "BTN_TOUCH 0 and no packet": ([[*packet(500, 3), touch(1)], packet(501, 3), [touch(0)]], [500, 501, "lift"]),
-    "pressure 0 and no packet": (
-        [[*packet(500, 3), a(ABS_PRESSURE, 9)], [a(ABS_PRESSURE, 0)]],
-        [500, "lift"],
-    ),
+    "pressure 0 and no packet": ([[*packet(500, 3), a(ABS_PRESSURE, 9)], [a(ABS_PRESSURE, 0)]], [500, "lift"]),
     "BTN_TOUCH 0 and an empty packet": ([[*packet(500, 3), touch(1)], [touch(0), MT]], [500, "lift"]),
     "a button alone ends no contact": ([packet(500, 3), [(1, 0x110, 1)], packet(510, 3)], [500, 500, 510]),
     "the last SYN_MT_REPORT left out": ([packet(500, 3), [a(X, 505), a(Y, 3)], [MT]], [500, 505, "lift"]),
