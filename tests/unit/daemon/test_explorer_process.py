@@ -39,8 +39,9 @@ def question(t: float) -> Question:
     return Question(t, TASK, None, UnderWay(Move(HERE, HERE, 0.0), 1.0))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def process() -> Iterator[ExplorerProcess]:
+    """One process for several tests, because its start takes seconds of the processor."""
     process = ExplorerProcess(RIG)
     process.prepare()
     yield process
@@ -123,11 +124,11 @@ def test_a_killed_process_is_restarted_with_its_task(process: ExplorerProcess, m
     assert process._process is not None
     process._process._process.kill()
     process._process._process.wait()
-    begun = time.monotonic()
-    while process.starts < 2 and time.monotonic() - begun < PATIENCE_S:
+    starts, begun = process.starts, time.monotonic()
+    while process.starts == starts and time.monotonic() - begun < PATIENCE_S:
         process.tend(time.monotonic())
         time.sleep(0.01)
-    assert process.starts == 2
+    assert process.starts == starts + 1
     assert wait_for(process).run == TASK.run
 
 
@@ -151,7 +152,7 @@ def test_closing_ends_the_process_at_once() -> None:
     assert not folder.exists()
 
 
-@pytest.mark.parametrize("length", [83, 84, 200])
+@pytest.mark.parametrize("length", [83, 84])
 def test_the_socket_works_with_a_long_path_of_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
 ) -> None:
