@@ -51,34 +51,15 @@ def driver():
         yield one
 
 
-def demo_in(folder):
-    process = Process(["demo", "--no-browser", "--no-record", "--seed", "3"], folder)
+@pytest.fixture
+def demo(tmp_path):
+    process = Process(["demo", "--no-browser", "--no-record", "--seed", "3"], tmp_path)
     yield process
     process.stop()
 
 
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory):
-    yield from demo_in(tmp_path_factory.mktemp("demo"))
-
-
-@pytest.fixture
-def own_demo(tmp_path):
-    """A demo for a test that ends its daemon."""
-    yield from demo_in(tmp_path)
-
-
 @pytest.fixture
 def page(driver, demo):
-    yield from page_of(driver, demo)
-
-
-@pytest.fixture
-def own_page(driver, own_demo):
-    yield from page_of(driver, own_demo)
-
-
-def page_of(driver, demo):
     def url():
         assert demo.alive, demo.all_said
         return re.search(r"http://127\.0\.0\.1:\d+/#token=\S+", demo.all_said)
@@ -165,8 +146,8 @@ def test_a_phone_shows_everything_and_may_watch_without_the_token(page):
     assert page.errors() == []
 
 
-def test_it_reports_a_lost_daemon_within_a_second(own_page, own_demo):
-    page, number = own_page, child(own_demo, "run")
+def test_it_reports_a_lost_daemon_within_a_second(page, demo):
+    number = child(demo, "run")
 
     def seconds_until_stale(signal_number):
         t_begin = time.monotonic()
