@@ -159,7 +159,6 @@ def test_mis_calibrated_constants_at_the_end_are_listed(tmp_path):
         made = report(tmp_path, [*messages, *((RIG.name, fields, 1.0, i) for i, fields in enumerate(said))])
         (section,) = [section for section in made.sections if section.title == "Rig"]
         assert len(section.parts[0].rows) == count
-        draw(made)
 
 
 def test_unknown_numbers_are_shown_as_unknown(tmp_path):
