@@ -926,7 +926,7 @@ def test_garbled_pads_are_reported_and_cause_no_other_fault(running):
 # ---- random sequences
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(n, marks=pytest.mark.nightly) for n in range(3, 6))])
 def test_no_sequence_of_events_sends_the_arm_a_bad_set_point(seed):
     random = Random(seed)
     bench = Bench(seed).go(0.5)
