@@ -232,8 +232,12 @@ class ThreePalmsLoop(ClosedLoop[ThreePalmsWorld]):
 class AtOnce(Executor):
     """An executor that does the work within `submit`, so that nothing depends on its duration."""
 
+    def new_future(self) -> Future[Any]:
+        """A future for work that is submitted now."""
+        return Future()
+
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        future: Future[T] = Future()
+        future = self.new_future()
         try:
             future.set_result(work(*args, **kwargs))
         except Exception as error:
@@ -242,15 +246,16 @@ class AtOnce(Executor):
 
 
 class InlineExplorer:
-    """An explorer whose decisions have a fixed latency, for deterministic simulations.
+    """An explorer whose decisions have a defined latency, for deterministic simulations.
 
     A question is dropped while another one is pending.
     """
 
-    def __init__(self, decider: ExplorationDecider, latency_s: float = LATENCY_S) -> None:
+    def __init__(self, decider: ExplorationDecider, latency_s: float | Callable[[], float] = LATENCY_S) -> None:
+        """`latency_s`: of each decision, or a function that returns that of a decision requested now (s)."""
         self._decider = decider
-        self._latency = latency_s
-        self._ready: ExplorationAnswer | None = None
+        self._latency_s = latency_s
+        self._ready: tuple[float, ExplorationAnswer] | None = None
 
     def prepare(self) -> None:
         """Nothing to do."""
@@ -258,12 +263,12 @@ class InlineExplorer:
     def ask(self, question: Question) -> None:
         """Decide at once; the answer is returned after the latency."""
         if self._ready is None:
-            self._ready = self._decider.answer(question)
+            latency_s = self._latency_s() if callable(self._latency_s) else self._latency_s
+            self._ready = question.t + latency_s, self._decider.answer(question)
 
     def collect(self, t: float) -> ExplorationAnswer | None:
         """The answer to a question that is at least as old as the latency."""
-        ready = self._ready
-        if ready is None or t < ready.t + self._latency:
+        if self._ready is None or t < self._ready[0]:
             return None
-        self._ready = None
-        return ready
+        (_, answer), self._ready = self._ready, None
+        return answer

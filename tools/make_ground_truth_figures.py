@@ -30,7 +30,7 @@ FIGURES = ROOT / "docs/figures"
 
 def as_result(answer: Reconstruction) -> Result:
     if answer.h is None or answer.h_sd is None or answer.touched is None:
-        raise SystemExit(f"no outline: {answer.reason.text}")
+        raise SystemExit(f"no outline: {answer.reason}")
     return Result(
         answer.t, answer.psi, answer.radii, answer.theta, answer.h, answer.h_sd, answer.touched
     )  # fmt: skip
@@ -57,7 +57,7 @@ def pruning(path: Path) -> None:
     answer, truth = reconstruct(log.events, log.rig), truth_of(truth_line)
     errors = outline_errors(answer, truth)
     if errors is None:
-        raise SystemExit(f"no outline: {answer.reason.text}")
+        raise SystemExit(f"no outline: {answer.reason}")
     pruning_figure.save(answer, errors, truth.h, path)
 
 

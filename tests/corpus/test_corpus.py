@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from corpus import EXPECTED, check, compare, frozen, names
+from corpus import EXPECTED, SAMPLE, check, compare, frozen, names
 
 
 def test_every_case_is_frozen() -> None:
@@ -26,5 +26,10 @@ def test_a_changed_number_is_found_and_named(part: str) -> None:
     assert not compare(was, now, exact=True)
 
 
-def test_a_sample_gives_what_was_frozen() -> None:
-    assert check([], sample=True) == 0
+def test_the_sample_has_each_system() -> None:
+    assert {name.split("-")[0] for name in SAMPLE} == {name.split("-")[0] for name in names()}
+
+
+@pytest.mark.parametrize("name", SAMPLE)
+def test_a_case_gives_what_was_frozen(name: str) -> None:
+    assert check([name], sample=False) == 0

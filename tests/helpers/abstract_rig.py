@@ -32,6 +32,7 @@ COMMANDS = {
     "plan": {"path": "p", "text": "t"},
 }  # fmt: skip
 """Commands that change something; `test_refused_moves_nothing` tries the others."""
+REQUESTS = {name: Request(name, args, id=name) for name, args in COMMANDS.items()}
 
 SYSTEM = SimpleNamespace(
     can_jog=True, joints=("phi1_rad", "phi2_rad"), codec=SimpleNamespace(estimate_summary=lambda _estimate: {})
@@ -270,9 +271,8 @@ class Rig:
 
     def copies(self):
         """A function that returns a copy of the present state on each call; three times as fast as `copy.deepcopy`."""
-        shared = {
-            id(each): each for each in (*TABLE.values(), SYSTEM, self.arm.actual, self.arm.host.pose, self.diagnostics)
-        }
+        constants = (SYSTEM, self.arm.actual, self.arm.host.pose, self.diagnostics)
+        shared = {id(each): each for each in (*TABLE.values(), *REQUESTS.values(), *State, *ArmState, *constants)}
         kept = io.BytesIO()
         pickler = pickle.Pickler(kept, pickle.HIGHEST_PROTOCOL)
         pickler.persistent_id = lambda each: id(each) if id(each) in shared else None
@@ -292,7 +292,7 @@ class Rig:
         self.journal.t = self.t
         supervisor = self.supervisor
         if command is not None:
-            supervisor.handle(Request(command, COMMANDS[command], id=command), self.t)
+            supervisor.handle(REQUESTS[command], self.t)
         present = set(self.present)
         present.update(self.diagnostics.conditions(self.arm, self.t, self.state in (State.TRACKING, State.HOLD), False))
         self.faults.update(present, self.t, armed=supervisor.armed)

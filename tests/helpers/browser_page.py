@@ -110,7 +110,7 @@ class Page:
         while not (found := condition()):
             shown = "return document.body.innerText"
             assert time.monotonic() < t_end, f"in vain for {what}; it shows: {self.script(shown)}"
-            time.sleep(0.02)
+            time.sleep(0.05)
         return found
 
     def resize(self, width, height):

@@ -70,7 +70,12 @@ class FarEnd:
             lines, raw = self._listen(t_sent + say.listen_s, max(0, say.enough - len(before)))
             heard = TalkAnswer(before + lines, raw_before + raw, t_sent, self.t)
 
+    def results(self):
+        """The outcome of every check, one by one."""
+        talk = Talk(BAUD)
+        for check in CHECKS:
+            yield self.play(examine(check, talk))
+
     def examine(self):
         """The outcome of every check."""
-        talk = Talk(BAUD)
-        return [self.play(examine(check, talk)) for check in CHECKS]
+        return list(self.results())

@@ -10,17 +10,7 @@ from scipy.sparse import csr_matrix
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import NODE
-from palmd.observer.reduction import (
-    BAND,
-    GATE,
-    Assembled,
-    IntArray,
-    ReadingRows,
-    Reduced,
-    StepRows,
-    Weighed,
-    wide,
-)
+from palmd.observer.reduction import BAND, GATE, Assembled, IntArray, ReadingRows, Reduced, StepRows, Weighed, wide
 
 
 class PlainArithmetic:

@@ -11,14 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from plain_friction import (
-    SIGN_PAIRS,
-    by_sign,
-    positive,
-    rippled_directions,
-    sign_shares,
-    softened_direction,
-)
+from plain_friction import SIGN_PAIRS, by_sign, positive, rippled_directions, sign_shares, softened_direction
 
 from palmd.events import FloatArray
 from palmd.model.friction import FRICTION_NOISE_S, HOP_NOISE_S, LEAST_FORCE

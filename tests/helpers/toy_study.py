@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tools.studies import harness
@@ -36,9 +35,7 @@ def run(task: ToyTask) -> ToyRow:
     return result(ToyRow, task, value=float(task.seed))
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[ToyTask]:
-    kinds = harness.kinds_of(arguments, KINDS)
-    return [ToyTask(kind, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for kind in kinds]
+draw = harness.of_kinds(KINDS, lambda kind, seed, arguments: ToyTask(kind, seed, arguments.seconds))
 
 
 def study(**changes) -> Study[ToyTask, ToyRow]:
@@ -47,7 +44,6 @@ def study(**changes) -> Study[ToyTask, ToyRow]:
         "by": lambda row: row.kind,
         "columns": [("runs", runs), ("errors", errors), ("large", count(lambda row: row.value > 10.0)),
                     ("median", quantiles(lambda row: row.value))],
-        "remarks": lambda rows: [f"{row.kind} {row.seed}: {row.error}" for row in rows if row.error],
         "goals": [Goal("no value is above 20", lambda rows: not any(row.value > 20.0 for row in rows))],
     }  # fmt: skip
     return Study("toy", draw, run, ToyRow, **parts | changes)

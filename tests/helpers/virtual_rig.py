@@ -1,7 +1,6 @@
 """The daemon's real core on the emulated rig, with real sockets, in accelerated virtual time."""
 
 import threading
-from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 
 from palmd.daemon.bus import Bus
@@ -10,21 +9,10 @@ from palmd.daemon.lifecycle import State
 from palmd.rig.emulated import STEP_S
 from palmd.rig.pads import GOOD_PADS
 from palmd.rig.world import World
-from tools.studies.silent_observer import SilentObserver
+from tools.closed_loop import AtOnce
+from tools.studies.stub_observers import EmptyObserver
 
 TICK_STEPS = 20
-
-
-class AtOnce(Executor):
-    """Executes work immediately on submission."""
-
-    def submit(self, work, /, *args, **kwargs):
-        future = Future()
-        try:
-            future.set_result(work(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 @contextmanager
@@ -35,7 +23,7 @@ def running(real, config, seed, bodies, crossed=False, pad_options=GOOD_PADS):
     """
     plug = {"pad1": "pad2", "pad2": "pad1"} if crossed else {}
     world = World(real, seed, bodies=bodies, pad_options=pad_options)
-    core = Core(config, SilentObserver(), AtOnce())
+    core = Core(config, EmptyObserver(), AtOnce())
     bus, over = Bus(config.bus.publish, config.bus.command), threading.Event()
     ready = threading.Event()
     for end in ("pad1", "pad2", "arm"):

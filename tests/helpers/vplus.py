@@ -15,12 +15,7 @@ RIM = {
     "FSET", "HALT", "HERE", "MOVES", "REACTE", "SELECT", "SET", "SET.EVENT", "SPEED", "TYPE", "WAIT", "WAIT.EVENT",
     "WRITE",
 }  # fmt: skip
-FUNCTIONS = {
-    "ABS": abs,
-    "INT": int,
-    "SQRT": lambda x: x**0.5,
-    "$CHR": lambda x: chr(int(x)),
-}
+FUNCTIONS = {"ABS": abs, "INT": int, "SQRT": lambda x: x**0.5, "$CHR": lambda x: chr(int(x))}
 HARDWARE = {"ERROR", "GETC", "IOSTAT", "STATE", "SWITCH", "TASK", "$ERROR"}
 _WORDS = """
 above abs accel align alter any appro asc atan2 attach auto base below brake break call calls case clear close

@@ -64,15 +64,7 @@ def cut(draw: st.DrawFn, data: bytes) -> list[bytes]:
 
 
 def content(packet: PadPacket) -> tuple[object, ...]:
-    return (
-        packet.x_counts,
-        packet.y_counts,
-        packet.pressure,
-        packet.in_use,
-        packet.left,
-        packet.right,
-        packet.tap,
-    )
+    return (packet.x_counts, packet.y_counts, packet.pressure, packet.in_use, packet.left, packet.right, packet.tap)
 
 
 # VersaPad
@@ -254,9 +246,7 @@ LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
     + [(0.016, ArmState.TRACKING), (0.0, Pose(math.inf, 0.0, 0.0)), (0.0, Pose(0.0, 0.0, math.nan))] * 5
     + [(0.0, ArmState.HOLD), (0.016, Pose(0.0, 0.0, math.inf)), (0.0, "request_stop"), (0.0, ArmState.READY)]
 )
-def test_the_host_accepts_any_input_and_continues(
-    script: list[tuple[float, bytes | ArmState | str | Pose]],
-) -> None:
+def test_the_host_accepts_any_input_and_continues(script: list[tuple[float, bytes | ArmState | str | Pose]]) -> None:
     host, far = ArmHost(AdeptConfig(port="arm")), LineReader(38400)
     t, target, asked, last = 0.0, None, {"H", "Q"}, Hello()
     for gap, action in script:

@@ -41,17 +41,11 @@ frequency = st.floats(0.1, 1.5)
 
 def _rate(angle: str, target: float, other: float) -> dict[str, Any]:
     centre = {"phi1": 45.0, "phi2": 90.0}[angle]
-    return {
-        "rate": {f"{angle}_deg_s": math.copysign(other, target - centre)},
-        "until": {f"{angle}_deg": target},
-    }
+    return {"rate": {f"{angle}_deg_s": math.copysign(other, target - centre)}, "until": {f"{angle}_deg": target}}
 
 
 move = st.builds(
-    lambda a, b, t: {"move": {"phi1_deg": a, "phi2_deg": b}, "duration_s": t},
-    phi1_deg,
-    phi2_deg,
-    st.floats(0.3, 3),
+    lambda a, b, t: {"move": {"phi1_deg": a, "phi2_deg": b}, "duration_s": t}, phi1_deg, phi2_deg, st.floats(0.3, 3)
 )
 hold = st.builds(lambda t: {"hold_s": t}, st.floats(0.01, 1))
 sine = st.builds(
@@ -188,10 +182,7 @@ angle = st.floats(-4.0, 4.0) | st.sampled_from([math.nan, math.inf, -math.inf])
 
 
 @settings(max_examples=200, deadline=None)
-@given(
-    st.lists(st.tuples(angle, angle), min_size=1, max_size=30),
-    st.floats(0.0, 0.1),
-)
+@given(st.lists(st.tuples(angle, angle), min_size=1, max_size=30), st.floats(0.0, 0.1))
 def test_clamped_steps_keep_the_limits_and_the_rate(requests: list[tuple[float, float]], dt: float) -> None:
     last = PalmMotion.at_rest(START)
     for request in requests:

@@ -51,9 +51,7 @@ class Rogue(Hold):
 
 def rogue() -> Trajectory:
     checked = compile_plan(
-        PlanSpec.model_validate({"name": "rogue", "segments": [{"hold_s": 5.0}]}),
-        LIMITS,
-        HERE.angles,
+        PlanSpec.model_validate({"name": "rogue", "segments": [{"hold_s": 5.0}]}), LIMITS, HERE.angles
     )
     (one,) = checked.rounds
     segment = Rogue(HERE.angles, one.duration)

@@ -87,8 +87,8 @@ def test_swapped_pads_are_reported(start, tmp_path):
     ("text", "what", "by_name"),
     [
         (FAR, ":4:", ":4:"),
-        ("segments:\n\t- {}\n", ":2:1:", ": is not a motion plan"),
-        ("", ":1:1:", ": is not a motion plan"),
+        pytest.param("segments:\n\t- {}\n", ":2:1:", ": is not a motion plan", marks=pytest.mark.nightly),
+        pytest.param("", ":1:1:", ": is not a motion plan", marks=pytest.mark.nightly),
     ],
 )
 def test_an_invalid_plan_is_refused_and_changes_nothing(bench, text, what, by_name):

@@ -1,4 +1,7 @@
-"""`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that differs from its configuration."""
+"""`palmd calibrate arm`, then `palmd calibrate gravity`, on a rig that differs from its configuration.
+
+`tests/unit/calibration` tests both without real time.
+"""
 
 import cmath
 import math
@@ -10,7 +13,7 @@ from harness import Client, Process, free_ports, palmd, wait
 from palmd.config.two_palms import Config
 from palmd.harness.stack import Stack
 
-pytestmark = pytest.mark.rig
+pytestmark = [pytest.mark.rig, pytest.mark.nightly]
 
 BASE_MM = (120.0, 0.0)
 TRUE_RIG = {"palm1_length_mm": 120.0, "palm2_length_mm": 120.0, "gravity_m_s2": 9.6}
@@ -94,7 +97,6 @@ def test_the_arm_is_calibrated_while_a_hand_swings_it(stack, tmp_path, palm_base
     assert found["rms_mm"] < 0.05
 
 
-@pytest.mark.nightly
 def test_gravity_and_yaw_are_calibrated_with_a_ball(stack, tmp_path, palm_base):
     stack.start_rig("--roller", "ball", "--seed", "4")
     stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.rig_info)

@@ -144,7 +144,7 @@ def test_it_ends_early_without_an_estimate_and_records_only_on_request(demo):
     assert not list(running.here.iterdir())
 
 
-@pytest.mark.parametrize("child", ["run", "rig"])
+@pytest.mark.parametrize("child", ["run", pytest.param("rig", marks=pytest.mark.nightly)])
 def test_it_reports_the_death_of_a_child(demo, child):
     running = demo("--seed", "3")
     running.wait_for("0 s  tracking")

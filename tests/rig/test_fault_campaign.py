@@ -10,16 +10,20 @@ from harness import run_study
 
 pytestmark = pytest.mark.rig
 
-SOME = {
-    "adept": ("pad1-mute", "controller-estop", "address-taken", "page-killed"),
-    "tabletop": ("pad1-mute", "servo-hot"),
-    "input": ("pad1-mute", "pad2-overflow"),
-}
+ADEPT = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
 
 
-@pytest.mark.parametrize("rig", SOME)
-def test_some_faults(tmp_path, rig):  # a short name, because it is part of a socket's path
-    names = SOME[rig]
+@pytest.mark.parametrize(
+    ("rig", "names"),
+    [
+        ("adept", ADEPT),
+        # `tests/unit/harness/test_tabletop.py` tests these without processes
+        pytest.param("tabletop", ("pad1-mute", "servo-hot"), marks=pytest.mark.nightly),
+        pytest.param("input", ("pad1-mute", "pad2-overflow"), marks=pytest.mark.nightly),
+    ],
+    ids=["adept", "tabletop", "input"],
+)
+def test_some_faults(tmp_path, rig, names):  # a short name, because it is part of a socket's path
     done = run_study("faults", "--rig", rig, "--only", *names, "-o", tmp_path, timeout_s=100)
     lines = [json.loads(line) for line in (tmp_path / "runs.jsonl").read_text().splitlines()]
     assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in names}, done.stderr

@@ -99,6 +99,7 @@ def test_a_killed_recorder_loses_almost_nothing_and_disturbs_nothing(light_bench
     light_bench.judge()
 
 
+@pytest.mark.nightly
 def test_a_directory_that_cannot_be_written_is_a_reported_fault(light_bench, tmp_path):
     (tmp_path / "runs").write_text("in the way")
     recorder = light_bench.begin("recorder", "record", light_bench.path)

@@ -14,16 +14,13 @@ PADS = {
     "text": ARRAY | {"protocol": "text", "rows": 20, "pitch_mm": 3.0, "baud": 1000000},
 }
 MODELS = {"dynamixel": "XL430-W250, firmware 46", "feetech": "STS3215, firmware 3"}
-RIGS = [
-    ("strip", "dynamixel"),
-    ("evdev", "dynamixel"),
-    ("tsf85", "dynamixel"),
-    ("st0001", "feetech"),
-    ("text", "feetech"),
-]
+RIGS = [("strip", "dynamixel"), ("evdev", "dynamixel"), ("st0001", "feetech")]
+MORE = [("tsf85", "dynamixel"), ("text", "feetech")]  # decoders of these protocols are tested without processes
 
 
-@pytest.fixture(scope="module", params=RIGS, ids="-".join)
+@pytest.fixture(
+    scope="module", params=[*RIGS, *(pytest.param(rig, marks=pytest.mark.nightly) for rig in MORE)], ids="-".join
+)
 def rig(tmp_path_factory, request):
     """The emulated rig with pads of a kind."""
     pads, servos = request.param

@@ -14,11 +14,11 @@ from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.shapes import KINDS
 from palmd.rig.world import default_config
 from tools.closed_loop import Instant
-from tools.studies import exploring, exploring_plans
+from tools.studies import exploration_plans, explore
 from tools.studies.commands import main
-from tools.studies.exploring import STUDY, ExploringRow, ExploringTask, remarks
-from tools.studies.exploring_plans import STRATEGIES
-from tools.studies.exploring_watch import ExplorationWatch
+from tools.studies.exploration_plans import STRATEGIES
+from tools.studies.exploration_statistics import ExplorationStatistics
+from tools.studies.explore import STUDY, ExploringRow, ExploringTask
 
 # ---------------------------------------------------------------------------------------------- real runs
 
@@ -26,7 +26,7 @@ from tools.studies.exploring_watch import ExplorationWatch
 @pytest.mark.nightly
 def test_exploring_touches_more_than_the_open_loop_plans_and_every_field_is_filled():
     """Eight seconds of each strategy on the same object; the first run has the smoother."""
-    explored, random = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
+    explored, random = (explore.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
     assert [row.error for row in (explored, random)] == ["", ""]
     assert explored.coverage > 0.35
     assert random.coverage < explored.coverage
@@ -40,7 +40,7 @@ def test_exploring_touches_more_than_the_open_loop_plans_and_every_field_is_fill
 
 def test_each_kind_gets_another_object():
     asked = SimpleNamespace(kind="all", seed=10, runs=3, seconds=60.0, imperfections="none", config=None)
-    tasks = exploring.draw(asked)
+    tasks = explore.draw(asked)
     seeds = {kind: {task.seed for task in tasks if task.kind == kind} for kind in KINDS}
     assert {len(each) for each in seeds.values()} == {3}
     assert len(set.union(*seeds.values())) == 12
@@ -52,9 +52,9 @@ def test_plans_are_valid_and_last_long_enough(strategy):
     config = default_config()
     limits, goal = motion_limits(config), ExploreGoal(time_limit_s=60.0)
     for seed in range(5):
-        spec = exploring_plans.plan(strategy, config, goal, seed)
+        spec = exploration_plans.plan(strategy, config, goal, seed)
         assert compile_plan(spec, limits).duration >= 60.0
-    assert (exploring_plans.plan(strategy, config, goal, 1) == spec) is (strategy != "random")
+    assert (exploration_plans.plan(strategy, config, goal, 1) == spec) is (strategy != "random")
 
 
 # ------------------------------------------------------------------------------------------------ scoring
@@ -69,7 +69,7 @@ def instant(t, psi, contacts=(True, True), s=(0.02, 0.03), valid=True):
 
 
 def watch(**how):
-    return ExplorationWatch(np.ones(BINS, dtype=np.bool_), (0.0555, 0.0555), t_start=100.0, **how)
+    return ExplorationStatistics(np.ones(BINS, dtype=np.bool_), (0.0555, 0.0555), t_start=100.0, **how)
 
 
 def test_bins_of_both_normals_are_touched_during_contact():
@@ -85,7 +85,7 @@ def test_bins_of_both_normals_are_touched_during_contact():
 def test_time_to_coverage_counts_only_reachable_normals():
     reachable = np.zeros(BINS, dtype=np.bool_)
     reachable[50:60] = True
-    mine = ExplorationWatch(reachable, (0.0555, 0.0555), t_start=100.0)
+    mine = ExplorationStatistics(reachable, (0.0555, 0.0555), t_start=100.0)
     for k in range(400):  # ψ falls by 10° per second: θ1 rises from 298° through the bins from 59
         mine.take(instant(100.0 + 0.01 * k, psi=math.radians(45.0 - 0.15 * k)))
     # bin 50 is touched when θ1 = 298.6° − 45° + 15°/s · t reaches 250°: at once; bin 59 at 295° after 2.76 s
@@ -150,7 +150,7 @@ def test_remarks_list_only_the_failures():
         row(seed=4, outside=1),
         row(seed=5, error="ValueError: no"),
     ]
-    assert remarks(bad) == [
+    assert STUDY.remarks(bad) == [
         "odd 2: touched 50% of the 100% that can be reached (the time limit of 60 s is over)",
         "odd 3: contact lost 2 times, 0.30 s; at a pad's end for 0.00 s; not recovered",
         "odd 4: 1 set-points outside the limits, 0 refused",

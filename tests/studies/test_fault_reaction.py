@@ -22,12 +22,13 @@ from tools.studies.fault_reaction import (
     summary,
     table,
 )
-from tools.studies.fault_rows import HOST_ALIVE_S, NAMES, ROWS, FaultRow, RowFault
+from tools.studies.fault_rows import HOST_ALIVE_S, NAMES, ROWS, FaultRow
+from tools.studies.study_processes import InjectedFault
 
 ROW = FaultRow(
     "mute",
     "it falls silent",
-    RowFault("mute", "pad1"),
+    InjectedFault("mute", "pad1"),
     "hold",
     ("pad1-mute",),
     (("pad1-silent", "hold"),),

@@ -21,7 +21,7 @@ from toy_study import KINDS, ToyRow, asked, draw, study
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import install_line
 from tools.studies import cells, harness, runs
-from tools.studies.commands import STUDIES, loaded, main
+from tools.studies.commands import FORMER, STUDIES, loaded, main
 
 A_DAY_S = 86_400.0
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
@@ -50,7 +50,18 @@ def test_every_study_has_its_module_and_help(name, capsys):
     module = loaded(name)
     assert callable(module.STUDY.conduct if hasattr(module, "STUDY") else module.conduct)
     assert usage(name, "--help") == 0
-    assert capsys.readouterr().out.startswith(f"usage: python -m tools.studies {name}")
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: python -m tools.studies {name}")
+    assert "columns" in shown.lower() or name == "simulate"
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_a_former_name_works_with_a_note(former, capsys):
+    assert former not in STUDIES
+    assert usage(former, "--help") == 0
+    shown = capsys.readouterr()
+    assert shown.out.startswith(f"usage: python -m tools.studies {FORMER[former]}")
+    assert FORMER[former] in shown.err
 
 
 def test_help_names_every_study(capsys):

@@ -14,9 +14,9 @@ from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
 from tools.studies import montecarlo
 from tools.studies.bound import Bound
-from tools.studies.montecarlo import STUDY, MonteCarloRow, MonteCarloTask, Scalar, remarks, row_of
-from tools.studies.scoring import Causal, ObserverAnswers, causal_of, outline_errors, truth_of
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.montecarlo import STUDY, MonteCarloRow, MonteCarloTask, Scalar, row_of
+from tools.studies.scoring import Causal, ObserverAnswers, causal_of, outline_errors, replayed, truth_of
+from tools.studies.stub_observers import EmptyObserver
 
 NAN = math.nan
 
@@ -148,7 +148,7 @@ def test_only_valid_ticks_of_the_last_five_seconds_are_averaged():
     assert score.nees_r == pytest.approx(5.0)
 
 
-class Oracle(SilentObserver):
+class Oracle(EmptyObserver):
     """An observer that knows r1 and r2 to 0.1 mm from the first tick, and the outline from 0.6 s."""
 
     def __init__(self, truth, turn=0.4):
@@ -161,7 +161,7 @@ class Oracle(SilentObserver):
     def estimate(self, t):
         values = dict.fromkeys(Estimate.__dataclass_fields__, NAN)
         r1, r2 = (np.interp(t, self._truth["t"], self._truth[name]) for name in ("r1_m", "r2_m"))
-        values |= {"t": t, "valid": t > 0.3, "r1": r1 + 1e-4, "r2": r2, "sd": {"r1": 2e-4, "r2": 2e-4}}
+        values |= {"t": t, "valid": t > 0.3, "r1": r1 + 1e-4, "r2": r2, "sd": {"r1": 2e-4, "r2": 2e-4, "omega0": NAN}}
         return Estimate(**values)
 
     def shape(self, t):
@@ -182,7 +182,7 @@ def log_of(tmp_path, kind="nominal", seed=1, seconds=1.0):
 def test_a_causal_replay_is_scored_tick_by_tick(tmp_path):
     log, truth = log_of(tmp_path)
     oracle = Oracle(truth)
-    answers = montecarlo.answers(log, truth, oracle)
+    answers = replayed(log, truth, oracle)
     assert oracle.fed == list(log.events)
     assert answers.t == pytest.approx(np.arange(1, len(answers.t) + 1) * 0.01)
     np.testing.assert_allclose(answers.r_error, np.tile([1e-4, 0.0], (len(answers.t), 1)), atol=1e-9)
@@ -284,7 +284,7 @@ def test_the_table_has_a_column_for_each_kind_and_counts_every_run():
 
 
 def test_remarks_name_failed_runs_and_a_wrong_run_misses_the_goal():
-    assert remarks(FEW) == ["nominal 1: accepted but wrong by 400 µm", "nominal 4: ValueError: no"]
+    assert STUDY.remarks(FEW) == ["nominal 1: accepted but wrong by 400 µm", "nominal 4: ValueError: no"]
     (goal,) = STUDY.goals
     assert not goal.met(FEW)
     assert goal.met(FEW[2:])

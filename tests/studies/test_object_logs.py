@@ -16,9 +16,8 @@ from palmd.events import PadSample, PalmSample
 from palmd.rig.dry_plant import DRY
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_plan
-from tools.studies import object_logs
 from tools.studies.commands import main
-from tools.studies.exploring_plans import plan
+from tools.studies.exploration_plans import plan
 from tools.studies.object_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw, simulated
 
 
@@ -44,17 +43,17 @@ def test_correct_wrong_and_rejected_runs_are_counted_separately() -> None:
     assert last_line.split("  ")[0] == kind
     assert re.findall(r"(\d) of 3", last_line) == ["1", "0", "1", "1"]
     assert "6.5 / 10" in last_line
-    said = object_logs.remarks(rows)
+    said = OFFLINE.remarks(rows)
     assert ": right, 90 µm" in said[0]
     assert ": wrong, 200 µm" in said[1]
     assert said[2] == f"{kind} 2: rejected: why"
     assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
     assert replace(rough, sd_m=6e-5).wrong  # 3.3 sd
-    assert ": in its band, 200 µm" in object_logs.remarks([rough])[0]
+    assert ": in its band, 200 µm" in OFFLINE.remarks([rough])[0]
 
 
 def test_a_live_kind_is_rejected_for_logs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["things", "--offline", "--kind", "coin"]) == 1
+    assert main(["test-objects", "--offline", "--kind", "coin"]) == 1
     assert "--kind coin is only possible without --offline" in capsys.readouterr().err
 
 
@@ -78,7 +77,7 @@ def test_the_study_explored_reads_recordings() -> None:
     exploring = plan("explore", default_config(), ExploreGoal(coverage=1.0, time_limit_s=20.0), seed=0)
     assert draw(asked) == [SharpTask("dry lump", seed, 20.0, "none", exploring) for seed in (0, 1)]
     with pytest.raises(SystemExit):
-        main(["things", "--explored", "--offline"])
+        main(["test-objects", "--explored", "--offline"])
 
 
 def test_a_plan_is_recorded_and_one_beyond_the_limits_is_rejected_at_once(
@@ -86,7 +85,7 @@ def test_a_plan_is_recorded_and_one_beyond_the_limits_is_rejected_at_once(
 ) -> None:
     wide = tmp_path / "wide.yaml"
     wide.write_text("name: wide\nsegments:\n  - {move: {phi1_deg: 12, phi2_deg: 170}, duration_s: 2}\n")
-    assert main(["things", "--plan", str(wide), "--kind", "die"]) == 1
+    assert main(["test-objects", "--plan", str(wide), "--kind", "die"]) == 1
     assert f"{wide}:3" in capsys.readouterr().err
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from tools.studies import pivot
 from tools.studies.harness import as_line
-from tools.studies.pivot import LIVE, OFFLINE, LiveRow, PivotRow, PivotTask, remark
+from tools.studies.pivot import LIVE, OFFLINE, LiveRow, PivotRow, PivotTask
 from tools.studies.pivot_logs import simulate_pivot_log
 
 ROW = PivotRow("tilt", 1, 12.0, "none", "", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
@@ -72,7 +72,7 @@ def test_the_table_of_live_runs_counts_them():
     assert perfect[:5] == ["none", "1", "0", "1", "0"]
     assert sliding[-6:-2] == ["1", "1", "1", "2.3"], "one left the pad, one jammed, one over its limit"
     assert calibrated[-6:-2] == ["0", "0", "0", "1.2"]
-    assert "error 400 µm" in remark(wrong)
+    assert "error 400 µm" in LIVE.remarks([wrong])[0]
 
 
 @pytest.mark.parametrize("kind", ["tilt", "float"])

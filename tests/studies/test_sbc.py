@@ -25,17 +25,15 @@ from tools.studies.sbc import (
     MarginalPosterior,
     SbcRow,
     SbcTask,
-    as_line,
     far,
     gauge_free_error,
-    remarks,
     report,
     row_from,
     row_of,
     uniformities,
     wrong,
 )
-from tools.studies.uniformity import Uniformity, at_most, crooked
+from tools.studies.uniformity import Uniformity, at_most, non_uniform
 
 TASK = SbcTask("friction", 3, 10.0)
 EVEN = stats.norm.ppf((np.arange(1000) + 0.5) / 1000)
@@ -71,7 +69,7 @@ def study(z):
     ids=["correct", "1σ a quarter too small", "1σ too large", "biased by a fifth"],
 )
 def test_only_correct_standard_deviations_give_uniform_ranks(z, expected):
-    assert crooked({"mu": study(z)["mu"]}) == expected
+    assert non_uniform({"mu": study(z)["mu"]}) == expected
 
 
 def test_the_rigs_constants_are_tested_together_too():
@@ -80,7 +78,7 @@ def test_the_rigs_constants_are_tested_together_too():
     for scale, right in ((1.0, True), (1.1**2, False)):
         rows = [SbcRow("rig", i, 10.0, converged=True, rig_distance2=d * scale) for i, d in enumerate(distances)]
         result = uniformities(rows)
-        assert (TOGETHER not in crooked(result)) == right
+        assert (TOGETHER not in non_uniform(result)) == right
     assert result[TOGETHER].mean > 0.2
 
 
@@ -118,7 +116,7 @@ def test_the_report_gives_seeds_counts_and_suspicious_runs():
     assert "  accepted: 1001 of 1003\n" in text
     assert "not accepted: 1: too little\n" in text
     assert "0.3 mm beyond its band: 1 of 1001 (at most 0.47 %" in text
-    assert remarks(rows) == [
+    assert STUDY.remarks(rows) == [
         "rig 1002: ValueError: no ground",
         "rig 1003: accepted, error 0.40 mm beyond its band",
         "rig 1003: accepted, errors above 6 sd: mu",
@@ -144,7 +142,7 @@ def test_imperfections_are_drawn_from_the_priors_of_reconstruct():
     rig = RigDescription().known_to(AS_CALIBRATED)
     true = [drawn(rig, 1, seed).constants() for seed in range(3000)]
     z = np.array([[each[name] for name in CONSTANTS] for each in true]) / prior_sds(rig)[DRAWN]
-    assert crooked({name: Uniformity.of(column) for name, column in zip(CONSTANTS, z.T, strict=True)}) == []
+    assert non_uniform({name: Uniformity.of(column) for name, column in zip(CONSTANTS, z.T, strict=True)}) == []
 
 
 def test_friction_and_motion_of_an_object_are_drawn_from_the_priors_of_reconstruct():
@@ -156,7 +154,7 @@ def test_friction_and_motion_of_an_object_are_drawn_from_the_priors_of_reconstru
         ],
         "dither": [math.log(surface.dither / prior.DITHER) / prior.LN_DITHER_SD for _, surface in drawn],
     }
-    assert crooked({name: Uniformity.of(np.array(each)) for name, each in z.items()}) == []
+    assert non_uniform({name: Uniformity.of(np.array(each)) for name, each in z.items()}) == []
     friction = np.array([surface.mu for _, surface in drawn])
     assert friction.min() > 0.0
     assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without its negative part
@@ -246,8 +244,8 @@ def test_a_line_holds_the_whole_row():
         row_of(TASK, simulator_truth(), answer(turned_sd=math.nan)),
         sbc.SbcRow("rig", 3, 10.0, error="ValueError: no ground"),
     ):
-        line = json.loads(json.dumps(as_line(row), allow_nan=False))
-        assert as_line(row_from(line)) == as_line(row)
+        line = json.loads(json.dumps(STUDY.as_line(row), allow_nan=False))
+        assert STUDY.as_line(row_from(line)) == STUDY.as_line(row)
 
 
 @pytest.mark.nightly

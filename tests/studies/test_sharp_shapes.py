@@ -68,9 +68,7 @@ def test_a_square_has_the_inertia_and_mass_of_a_square() -> None:
 
 
 @pytest.mark.parametrize("outline", _outlines())
-def test_the_free_rotation_ends_where_the_outline_jumps(
-    outline: ArcSupport | ChordSupport,
-) -> None:
+def test_the_free_rotation_ends_where_the_outline_jumps(outline: ArcSupport | ChordSupport) -> None:
     room = np.array([outline.room(theta) for theta in THETA])
     assert room.min() > 1e-5
     assert room.max() < 2.0

@@ -9,7 +9,7 @@ from palmd.record.recheck import CheckedTick, Difference
 from palmd.record.run import Survey
 from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
 from tools.studies.harness import as_line
-from tools.studies.soak_fault_injection import QUIET_S, InjectedFault, Visitor, draw
+from tools.studies.soak_fault_injection import QUIET_S, Visitor, draw
 from tools.studies.soak_findings import (
     Numbers,
     ProcessSeries,
@@ -27,6 +27,7 @@ from tools.studies.soak_findings import (
     table,
     without_goal,
 )  # fmt: skip
+from tools.studies.study_processes import InjectedFault
 
 HOUR_S = 3600.0
 

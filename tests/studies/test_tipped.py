@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from palmd.config.two_palms import PlanSpec
 from palmd.observer import data_association
@@ -25,6 +26,7 @@ ROUND = PlanSpec.model_validate(
 )
 
 
+@pytest.mark.nightly
 def test_readings_that_no_single_outline_explains_give_no_estimate(monkeypatch):
     monkeypatch.setattr(data_association, "CORNERS", (6,))
     log, *_ = object_logs.simulated(object_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND))

@@ -18,7 +18,7 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import replay
 from palmd.rig.simulate import simulate_log
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 MANY = 3
 ASKED_FOR_MANY = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), str(MANY))
@@ -73,7 +73,7 @@ class Watched(UserList):
         return iter(self.data)
 
 
-class Watch(SilentObserver):
+class Watch(EmptyObserver):
     """An observer that only records the number of threads."""
 
     def __init__(self):

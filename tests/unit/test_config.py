@@ -18,10 +18,7 @@ from palmd.system.vibration import AVERAGED, Vibration
 from palmd.yamlfile import load_config
 
 ROOT = Path(__file__).parents[2]
-PORTS: dict[str, Any] = {
-    "pads": {"palm1": {"port": "/dev/a"}, "palm2": {"port": "/dev/b"}},
-    "arm": {"port": "/dev/c"},
-}
+PORTS: dict[str, Any] = {"pads": {"palm1": {"port": "/dev/a"}, "palm2": {"port": "/dev/b"}}, "arm": {"port": "/dev/c"}}
 
 
 def config(folder: Path = Path("/etc/palmd"), **rest: Any) -> Config:
@@ -108,8 +105,7 @@ def test_only_a_cradle_may_point_downwards() -> None:
 
 
 @pytest.mark.parametrize(
-    "address",
-    ["tcp://127.0.0.1:9872", "tcp://127.8.9.1:1", "tcp://localhost:65535", "ipc:///run/palmd/publish"],
+    "address", ["tcp://127.0.0.1:9872", "tcp://127.8.9.1:1", "tcp://localhost:65535", "ipc:///run/palmd/publish"]
 )
 def test_addresses_on_this_machine_are_accepted(address: str) -> None:
     assert config(bus={"publish": address}).bus.publish == address

@@ -21,7 +21,15 @@ def free_addresses():
         return tuple(f"tcp://127.0.0.1:{each.getsockname()[1]}" for each in (one, other))
 
 
-@pytest.mark.parametrize("page", docreader.pages(with_a_daemon=False))
+SLOW = {"docs/operate/reports.md"}
+"""Pages whose commands take long and have tests of their own."""
+PAGES = [
+    pytest.param(page, marks=pytest.mark.nightly) if page in SLOW else page
+    for page in docreader.pages(with_a_daemon=False)
+]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_blocks_of(page, tmp_path):
     config = tmp_path / "configured.yaml"
     config.write_text(as_yaml(rig_recording.configured()))

@@ -61,8 +61,7 @@ def test_a_rig_test_that_fails_beside_others_is_repeated_alone(ran, capfd):
 
 
 @pytest.mark.parametrize(
-    ("tries", "how", "status"),
-    [("0", ["1"], 0), ("1,0", ["1", "None"], 0), ("1,1", ["1", "None"], 1), ("2", ["1"], 1)],
+    ("tries", "how", "status"), [("0", ["1"], 0), ("1,0", ["1", "None"], 0), ("1,1", ["1", "None"], 1), ("2", ["1"], 1)]
 )
 def test_it_is_first_repeated_at_once_while_others_run(ran, tries, how, status):
     """And alone only if it fails again."""

@@ -2,15 +2,13 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
+from browser_page import browser
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
 
@@ -69,21 +67,13 @@ def test_the_library_is_documented_from_its_docstrings(site):
 
 
 def test_the_site_can_be_searched_from_the_disk(site):
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("needs chromium and chromedriver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1400,900"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with webdriver.Chrome(options=options, service=Service(driver)) as browser:
-        browser.get((site / "index.html").as_uri())
-        WebDriverWait(browser, 60).until(lambda b: b.find_elements(By.CSS_SELECTOR, "input.md-search__input"))
-        field = browser.find_element(By.CSS_SELECTOR, "input.md-search__input")
-        browser.execute_script("arguments[0].focus()", field)
+    with browser() as driver:
+        driver.get((site / "index.html").as_uri())
+        WebDriverWait(driver, 60).until(lambda b: b.find_elements(By.CSS_SELECTOR, "input.md-search__input"))
+        field = driver.find_element(By.CSS_SELECTOR, "input.md-search__input")
+        driver.execute_script("arguments[0].focus()", field)
         field.send_keys("dead man")
         results = ".md-search-result__item a"
-        WebDriverWait(browser, 120).until(lambda b: b.find_elements(By.CSS_SELECTOR, results))
-        loud = [line["message"] for line in browser.get_log("browser") if line["level"] == "SEVERE"]
+        WebDriverWait(driver, 120).until(lambda b: b.find_elements(By.CSS_SELECTOR, results))
+        loud = [line["message"] for line in driver.get_log("browser") if line["level"] == "SEVERE"]
         assert loud == []

@@ -73,7 +73,6 @@ def test_moves_holds_and_swings_follow_one_another(limits):
 def test_an_exploration_comes_last_and_has_no_band(limits):
     goal = {"explore": {"coverage": 0.8, "time_limit_s": 30}}
     found = compile_tilt_plan(plan({"hold_s": 1}, goal), limits).exploration(2.0)
-    assert found is not None
     assert (found[0].goal.coverage, found[1]) == (0.8, 1.0)
     with pytest.raises(PlanError, match="must be the last segment"):
         compile_tilt_plan(plan(goal, {"hold_s": 1}), limits)

@@ -83,10 +83,7 @@ bus: {publish: "tcp://0.0.0.0:9872"}
         ("rig:\n  gravity_m_s2: 9\n\thinge: arc\n", "3:1: a tab in the indentation: use spaces"),
         ("rig: {hinge:\tarc}\n", "1:13: a tab: use spaces"),
         ("a: 1\n---\nb: 2\n", "2:1: a second document begins here; a file holds one"),
-        (
-            "a: {b: 1\nc: 2\n",
-            "2:2: not valid YAML: expected ',' or '}', but got ':' (while parsing a flow mapping)",
-        ),
+        ("a: {b: 1\nc: 2\n", "2:2: not valid YAML: expected ',' or '}', but got ':' (while parsing a flow mapping)"),
         ("a: &x 1\nb: *x\n", "2:4: aliases (*x) are not accepted; write the values out"),
         (b"a: b\n\xff\xfe: 1", "2:1: not UTF-8 text; save the file as UTF-8"),
         ("a: b\0c", "1:5: U+0000 a control character: it is invisible: delete it"),
@@ -103,10 +100,7 @@ def test_unreadable_yaml_files_are_rejected(file: Path, content: str | bytes, ex
         ("limits: {rate_deg_s: 1:30}", "3:22: 1:30 is sexagesimal in YAML; write 90 if that is meant"),
         ("limits: {rate_deg_s: 010}", "3:22: 010 is octal in YAML (8); write 10 without the zero"),
         ("limits: {<<: {rate_deg_s: 8}}", "3:10: merge keys (<<) are not accepted; write the keys out"),
-        (
-            "rig: !!python/object:os.system {}",
-            "3:6: tags (tag:yaml.org,2002:python/object:os.system) are not accepted",
-        ),
+        ("rig: !!python/object:os.system {}", "3:6: tags (tag:yaml.org,2002:python/object:os.system) are not accepted"),
         ("plan: !!binary aGk=", "3:7: tags (tag:yaml.org,2002:binary) are not accepted"),
         ("? [1, 2]\n: 3", "3:3: a key must be a plain word"),
         ("limits: {rate_deg_s: !!int fast}", "3:22: not a usable number: fast"),
@@ -115,10 +109,7 @@ def test_unreadable_yaml_files_are_rejected(file: Path, content: str | bytes, ex
         ("on: 1", "3:1: on: unknown key"),
         ("plan: [a]", "3:7: plan: must be a path as text"),
         ("limits: {rate_deg_s: 1.0.0}", "3:22: limits.rate_deg_s: must be a number; got the text 1.0.0"),
-        (
-            "limits: {rate_deg_s: 2001-01-01}",
-            "3:22: limits.rate_deg_s: must be a number; got the text 2001-01-01",
-        ),
+        ("limits: {rate_deg_s: 2001-01-01}", "3:22: limits.rate_deg_s: must be a number; got the text 2001-01-01"),
         (
             "limits: {rate_deg_s: -1e3}",
             "3:22: limits.rate_deg_s: must be a number; got the text -1e3; write -1000.0 or -1.0e+3",
@@ -141,11 +132,7 @@ def test_valid_notations_are_accepted(file: Path) -> None:
         "rig: {gravity_m_s2: 9, base_mm: [0, -0.5]}\n"
     )
     config = load_config(file)
-    assert (config.autostart, config.limits.rate_deg_s, config.limits.acceleration_deg_s2) == (
-        True,
-        100,
-        1000,
-    )
+    assert (config.autostart, config.limits.rate_deg_s, config.limits.acceleration_deg_s2) == (True, 100, 1000)
 
 
 def test_a_byte_order_mark_is_ignored(file: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray
 from palmd.model import shape
-from palmd.model.smoothing import CONSTANTS, ORDER, RIG, RIG_CONSTANTS, C
+from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior, friction_of
@@ -58,60 +58,34 @@ class Bound:
     mass_sd: float
 
 
-@dataclass(frozen=True, slots=True)
-class AtTruth:
-    """A record linearised at the truth: covariance of (constants, last node) from the expected information."""
-
-    record: Record
-    guess: Guess
-    covariance: FloatArray
-
-    @property
-    def touched(self) -> FloatArray:
-        """Directions of the normals touched (rad), in the outline's gauge."""
-        normals = contact_normals(self.record, self.guess.x[:, 0], self.guess.p[C.SHAPE :])
-        return directions()[touched_by(normals)]
-
-
-def at_truth(
-    events: Sequence[Event], rig: RigDescription, truth: Truth, belief: RigBelief, rig_errors: FloatArray
-) -> AtTruth:
-    """The information in `events` at the truth, under a `belief` in the rig, whose constants have the `rig_errors`.
-
-    Raises ValueError if both pads and the arm never report at the same time.
-    """
-    segment = longest_segment(events)
-    if segment is None:
-        raise ValueError("nothing to reconstruct: both pads and the arm never report at the same time")
-    search = Search(segment, rig, belief=belief)
-    record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
-    guess = _true_guess(truth, search.prior, rig_errors, record.t)
-    expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
-    smoother = Smoother(search.library, expected, search.prior)
-    return AtTruth(record, guess, smoother.posterior(smoother.fit(guess, search.noise, iterations=0)).covariance)
-
-
 def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta: FloatArray) -> Bound:
     """The bound for reconstructions of `events`: (Σ JᵀJ/σ² + prior⁻¹)⁻¹ at the truth.
 
     `theta`: normals (rad) in the truth's gauge; as in every published outline, the band does not include the error of
     the orientation. Raises ValueError if both pads and the arm never report at the same time.
     """
-    at = at_truth(events, rig, truth, RigBelief.of(rig), np.zeros(RIG_CONSTANTS))
-    coefficients, covariance = at.guess.p[C.SHAPE :], at.covariance
-    of_shape = covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS]
+    segment = longest_segment(events)
+    if segment is None:
+        raise ValueError("nothing to reconstruct: both pads and the arm never report at the same time")
+    search = Search(segment, rig, belief=RigBelief.of(rig))
+    record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
+    guess = _true_guess(truth, search.prior, record.t)
+    expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
+    smoother = Smoother(search.library, expected, search.prior)
+    covariance = smoother.posterior(smoother.fit(guess, search.noise, iterations=0)).covariance
+    coefficients, of_shape = guess.p[C.SHAPE :], covariance[C.SHAPE : CONSTANTS, C.SHAPE : CONSTANTS]
+    touched = directions()[touched_by(contact_normals(record, guess.x[:, 0], coefficients))]
     sd = np.sqrt(np.diagonal(covariance))
     return Bound(
-        h_sd=gauge_free_sd(theta, at.touched, coefficients, of_shape),
+        h_sd=gauge_free_sd(theta, touched, coefficients, of_shape),
         rho_sd=truth.rho * float(sd[C.LN_RHO]),
-        mu_sd=friction_of(at.guess.p, covariance)[1],
-        mass_sd=truth.mass * float(sd[C.LN_MASS]) if len(at.record.force_value) else math.nan,
+        mu_sd=friction_of(guess.p, covariance)[1],
+        mass_sd=truth.mass * float(sd[C.LN_MASS]) if len(record.force_value) else math.nan,
     )
 
 
-def _true_guess(truth: Truth, prior: Prior, rig_errors: FloatArray, t: FloatArray) -> Guess:
+def _true_guess(truth: Truth, prior: Prior, t: FloatArray) -> Guess:
     p = np.zeros(CONSTANTS)
-    p[RIG] = rig_errors
     p[C.LN_RHO], p[C.DAMPING], p[C.LN_MASS] = math.log(truth.rho), truth.damping, math.log(truth.mass)
     dither = math.exp(prior.mean[C.SATURATION]) if truth.dither is None else truth.dither
     p[C.DRAG], p[C.SATURATION] = truth.mu / dither, dither**-2.0

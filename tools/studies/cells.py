@@ -118,6 +118,11 @@ def mean(value: Value, form: str) -> Cell:
     return cell
 
 
+def accepted(cell: Cell) -> Cell:
+    """The cell over the accepted rows only."""
+    return among(lambda row: row.accepted, cell)
+
+
 def among(mark: Callable[[Any], bool], cell: Cell) -> Cell:
     """The cell over the marked rows only."""
     return lambda rows: cell([row for row in rows if mark(row)])

@@ -32,7 +32,7 @@ from tools.closed_loop import ClosedLoop, ClosedLoopError, PivotLoop, ThreePalms
 from tools.studies import harness
 from tools.studies.cells import errors, most, runs, total
 from tools.studies.harness import Goal, Study, result
-from tools.studies.simulation.light_observer import LightObserver
+from tools.studies.stub_observers import TrivialObserver
 
 GUARDS = frozenset(
     {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}
@@ -147,7 +147,7 @@ def loop_of(rig: str, seed: int, plan: str, *, light: bool) -> ClosedLoop[Any]:
             return ThreePalmsLoop(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
         case Config():
             if light:
-                return TwoPalmsLoop(config, load_plan(path), seed, estimator=LightObserver())
+                return TwoPalmsLoop(config, load_plan(path), seed, estimator=TrivialObserver())
             return TwoPalmsLoop(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
     raise TypeError(f"no closed loop for {rig}")
 
@@ -273,15 +273,6 @@ def draw(arguments: argparse.Namespace) -> Sequence[OperationTask]:
     ]
 
 
-def remarks(rows: Sequence[OperationRow]) -> Iterator[str]:
-    """A line for each false alarm and each run that ended in an error."""
-    for row in rows:
-        if row.error:
-            yield f"{row.rig} {row.seed}: {row.error}"
-        for t, code, text in row.guards:
-            yield f"{row.rig} {row.seed}: {code} after {t:g} s: {text}"
-
-
 STUDY = Study(
     "false alarms",
     draw,
@@ -299,7 +290,8 @@ STUDY = Study(
         ("largest following error / limit", most(lambda row: row.following_share)),
         ("errors", errors),
     ],
-    remarks=remarks,
+    title=lambda row: f"{row.rig} {row.seed}",
+    remark=lambda row: [f"{code} after {t:g} s: {text}" for t, code, text in row.guards],
     goals=[Goal("no guard holds or stops", lambda rows: not any(row.guards or row.error for row in rows))],
 )
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from palmd.console.columns import aligned
 from tools.studies.fault_rows import HOST_ALIVE_S, HOST_DEAD_S, FaultRow
-from tools.studies.fault_why import Judgement, enough
+from tools.studies.root_cause import Judgement, enough
 
 STANDING_RAD_S = math.radians(0.5)
 """Palms that turn slower than this are at rest; a fast plan turns them by 30 to 60 °/s."""

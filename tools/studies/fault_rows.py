@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from palmd.rig.fault_injection import PADS, PortName
+from tools.studies.study_processes import InjectedFault
 
 Process = Literal["daemon", "smoother", "recorder", "page"]
 State = Literal["tracking", "ready", "hold", "fault"]
@@ -21,16 +22,6 @@ HOST_DEAD_S = 0.200
 
 STOPPED_S = 0.5
 """The same if detection takes several reports or readings (s)."""
-
-
-@dataclass(frozen=True, slots=True)
-class RowFault:
-    """A fault injected into the emulated rig, for `for_s` seconds or until it is switched off."""
-
-    name: str
-    port: PortName | None = None
-    strength: float | None = None
-    for_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +56,7 @@ class WallClockStep:
     seconds: float
 
 
-Act = RowFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep
+Act = InjectedFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,23 +89,18 @@ def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
-        FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
-        FaultRow(f"{pad}-garbled", f"{damaged[0]} of its bytes are damaged", RowFault("garble", pad, damaged[1]),
+        FaultRow(f"{pad}-dead", "its port disappears", InjectedFault("unplug", pad), "hold", (port,),
+                 ((port, "hold"),)),
+        FaultRow(f"{pad}-garbled", f"{damaged[0]} of its bytes are damaged", InjectedFault("garble", pad, damaged[1]),
                  "tracking", ("nothing", f"{pad}-damaged"), ((garbled, "degrade"),), late),
-        FaultRow(f"{pad}-late", "its data arrive 200 ms late", RowFault("late", pad, 0.2), "hold",
+        FaultRow(f"{pad}-late", "its data arrive 200 ms late", InjectedFault("late", pad, 0.2), "hold",
                  (f"{pad}-mute",), ((silent, "hold"),)),
-        FaultRow(f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", (f"{pad}-mute",),
+        FaultRow(f"{pad}-mute", "it falls silent", InjectedFault("mute", pad), "hold", (f"{pad}-mute",),
                  ((silent, "hold"),)),
-        FaultRow(
-            f"{pad}-replaced",
-            "its port comes back under another number",
-            RowFault("unplug", pad, for_s=0.5),
-            "hold",
-            (port,),
-            ((port, "hold"),),
-            (silent,),  # from the opening to the first packet
-        ),
-        FaultRow(f"{pad}-foreign", "another device speaks at its port", RowFault("misbaud", pad), "hold",
+        FaultRow(f"{pad}-replaced", "its port comes back under another number",
+                 InjectedFault("unplug", pad, for_s=0.5), "hold", (port,), ((port, "hold"),),
+                 (silent,)),  # from the opening to the first packet
+        FaultRow(f"{pad}-foreign", "another device speaks at its port", InjectedFault("misbaud", pad), "hold",
                  (f"{pad}-foreign",), ((silent, "hold"), (garbled, "degrade"))),
     )
 
@@ -132,13 +118,13 @@ def arm_port_rows(
     """
     gone, lost = ("arm-port",), ("arm-link-lost", *own)
     stop = (("arm-port", "stop"),)
-    back = RowFault("unplug", "arm", for_s=0.5)
+    back = InjectedFault("unplug", "arm", for_s=0.5)
     late = (("arm-late", "degrade"), ARM_LOST)
     return (
-        FaultRow("arm-dead", f"{port} disappears", RowFault("unplug", "arm"), "fault", gone, stop, lost, goal_s),
-        FaultRow("arm-mute", mute, RowFault("mute", "arm"), "fault", ("arm-mute",), late, own, goal_s),
+        FaultRow("arm-dead", f"{port} disappears", InjectedFault("unplug", "arm"), "fault", gone, stop, lost, goal_s),
+        FaultRow("arm-mute", mute, InjectedFault("mute", "arm"), "fault", ("arm-mute",), late, own, goal_s),
         FaultRow("arm-replaced", f"{port} comes back under another number", back, "fault", gone, stop, lost, goal_s),
-        FaultRow("arm-foreign", foreign[0], RowFault("misbaud", "arm"), "fault", (foreign[1],), (ARM_LOST,), own,
+        FaultRow("arm-foreign", foreign[0], InjectedFault("misbaud", "arm"), "fault", (foreign[1],), (ARM_LOST,), own,
                  goal_s),
     )
 
@@ -149,38 +135,38 @@ _ARM_DEAD, _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN = arm_port_rows(
 
 ROWS: tuple[FaultRow, ...] = (
     *(row for pad in PADS for row in pad_rows(pad, ("a fifth", 0.2))),
-    FaultRow("object-lifted", "the object is lifted off", RowFault("lift"), "hold", ("lifted",),
+    FaultRow("object-lifted", "the object is lifted off", InjectedFault("lift"), "hold", ("lifted",),
              (("pad1-lifted", "hold"), ("pad2-lifted", "hold"))),
-    FaultRow("arm-blocked", "something holds the arm for 2 s", RowFault("block", "arm", for_s=2.0), "fault",
+    FaultRow("arm-blocked", "something holds the arm for 2 s", InjectedFault("block", "arm", for_s=2.0), "fault",
              ("not-followed",), (("following-error", "stop"),), goal_s=STOPPED_S),
-    FaultRow("arm-frozen", "the arm reports the same pose all the time", RowFault("freeze", "arm", for_s=2.0),
+    FaultRow("arm-frozen", "the arm reports the same pose all the time", InjectedFault("freeze", "arm", for_s=2.0),
              "fault", ("not-followed",), (("following-error", "stop"),), goal_s=STOPPED_S),
-    FaultRow("arm-jump", "the pose that the arm reports jumps by 20 mm", RowFault("jump", "arm", 0.02, for_s=1.0),
+    FaultRow("arm-jump", "the pose that the arm reports jumps by 20 mm", InjectedFault("jump", "arm", 0.02, for_s=1.0),
              "fault", ("implausible",), (("pose-implausible", "stop"),), goal_s=STOPPED_S),
     FaultRow("arm-impossible", "the arm reports a pose that no palm angles belong to",
-             RowFault("jump", "arm", 0.5, for_s=1.0), "fault", ("implausible",), (("pose-implausible", "stop"),),
+             InjectedFault("jump", "arm", 0.5, for_s=1.0), "fault", ("implausible",), (("pose-implausible", "stop"),),
              goal_s=STOPPED_S),
     *(
-        FaultRow(f"{pad}-saturated", "its pressure is eight times what it was", RowFault("saturate", pad, for_s=3.0),
-                 "hold", ("pressed",), (("force-limit", "hold"),), ("force-excess", "pads-swapped", "estimate-lost"),
-                 goal_s=STOPPED_S)
+        FaultRow(f"{pad}-saturated", "its pressure is eight times what it was",
+                 InjectedFault("saturate", pad, for_s=3.0), "hold", ("pressed",), (("force-limit", "hold"),),
+                 ("force-excess", "pads-swapped", "estimate-lost"), goal_s=STOPPED_S)
         for pad in PADS
     ),
     _ARM_DEAD,
-    FaultRow("arm-garbled", "a fifth of its line's bytes are damaged", RowFault("garble", "arm", 0.2), "fault",
+    FaultRow("arm-garbled", "a fifth of its line's bytes are damaged", InjectedFault("garble", "arm", 0.2), "fault",
              ("arm-damaged",), (ARM_LOST,), ("arm-fault", "arm-left-tracking")),
-    FaultRow("arm-late", "its data arrive 120 ms late", RowFault("late", "arm", 0.12), "tracking", ("arm-late",),
+    FaultRow("arm-late", "its data arrive 120 ms late", InjectedFault("late", "arm", 0.12), "tracking", ("arm-late",),
              (("arm-late", "degrade"),)),
     _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN,
-    FaultRow("controller-break", "a break on the arm's line", RowFault("break", "arm"), "fault", ("arm-break",),
+    FaultRow("controller-break", "a break on the arm's line", InjectedFault("break", "arm"), "fault", ("arm-break",),
              (("arm-fault", "stop"),), ("arm-left-tracking",)),
-    FaultRow("controller-estop", "the e-stop is pressed", RowFault("estop", "arm"), "fault", ("arm-estop",),
+    FaultRow("controller-estop", "the e-stop is pressed", InjectedFault("estop", "arm"), "fault", ("arm-estop",),
              (("arm-estop", "stop"),)),
-    FaultRow("controller-power-off", "arm power goes", RowFault("power_off", "arm"), "fault", ("arm-power-off",),
+    FaultRow("controller-power-off", "arm power goes", InjectedFault("power_off", "arm"), "fault", ("arm-power-off",),
              (("arm-power-off", "stop"),)),
-    FaultRow("controller-manual", "the operator takes the arm and jogs it", RowFault("manual", "arm"), "fault",
+    FaultRow("controller-manual", "the operator takes the arm and jogs it", InjectedFault("manual", "arm"), "fault",
              ("arm-manual",), (("arm-manual", "stop"),), goal_s=math.inf),
-    FaultRow("controller-watchdog", "200 ms without a set-point", RowFault("mute", "arm", for_s=0.2), "fault",
+    FaultRow("controller-watchdog", "200 ms without a set-point", InjectedFault("mute", "arm", for_s=0.2), "fault",
              ("arm-watchdog", "arm-mute"), (("arm-fault", "stop"),), ("arm-left-tracking", "arm-link-lost"),
              HOST_DEAD_S),
     FaultRow("daemon-paused-50", "the daemon is stopped for 50 ms", Pause("daemon", 0.05), "tracking", ("stalled",),
@@ -214,8 +200,9 @@ _OWN = ("arm-fault", "arm-servo-watchdog", "arm-servo-restarted", "arm-servo-ref
 """Faults that a servo may report once it is connected again."""
 
 
-def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
-    return FaultRow(name, cause, RowFault(trick, "arm"), "fault", ("arm-servo",), ((code, "stop"),), ("arm-fault",))
+def _servo(name: str, cause: str, injected: str, code: str) -> FaultRow:
+    return FaultRow(name, cause, InjectedFault(injected, "arm"), "fault", ("arm-servo",), ((code, "stop"),),
+                    ("arm-fault",))
 
 
 _SERVOS_DEAD, _SERVOS_MUTE, _SERVOS_REPLACED, _SERVOS_FOREIGN = arm_port_rows(
@@ -231,11 +218,11 @@ SERVO_ROWS: tuple[FaultRow, ...] = (
     _servo("servo-overload", "palm 1's servo is overloaded", "overload", "arm-servo-overload"),
     _servo("servo-hot", "palm 1's servo gets too hot", "overheat", "arm-servo-hot"),
     _servo("servo-voltage", "palm 1's servo reports a supply out of range", "undervoltage", "arm-servo-voltage"),
-    FaultRow("servo-brownout", "palm 1's servo restarts, which takes 0.4 s", RowFault("brownout", "arm"),
+    FaultRow("servo-brownout", "palm 1's servo restarts, which takes 0.4 s", InjectedFault("brownout", "arm"),
              "fault", ("arm-mute",), (ARM_LOST,), _OWN),
-    FaultRow("supply-cut", "the supply's switch is opened", RowFault("estop", "arm"), "fault", ("arm-mute",),
+    FaultRow("supply-cut", "the supply's switch is opened", InjectedFault("estop", "arm"), "fault", ("arm-mute",),
              (ARM_LOST,), _OWN),
-    FaultRow("servo-watchdog", "200 ms without an instruction", RowFault("mute", "arm", for_s=0.2), "fault",
+    FaultRow("servo-watchdog", "200 ms without an instruction", InjectedFault("mute", "arm", for_s=0.2), "fault",
              ("arm-servo-watchdog", "arm-mute"), (("arm-servo-watchdog", "stop"),), ("arm-fault", "arm-link-lost"),
              SERVOS_DEAD_S),
     FaultRow("daemon-paused-300", "the daemon is stopped for 300 ms", Pause("daemon", 0.3), "fault", ("stalled",),
@@ -250,12 +237,12 @@ STRIP_ROWS: tuple[FaultRow, ...] = tuple(row for pad in PADS for row in pad_rows
 def _input(pad: PortName) -> tuple[FaultRow, ...]:
     port = f"{pad}-port"
     return (
-        FaultRow(f"{pad}-dead", "it is unplugged", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
-        FaultRow(f"{pad}-replaced", "it comes back under another number", RowFault("unplug", pad, for_s=0.5), "hold",
-                 (port,), ((port, "hold"),), (f"{pad}-silent",)),
-        FaultRow(f"{pad}-overflow", "the kernel drops its data", RowFault("overflow", pad), "tracking",
+        FaultRow(f"{pad}-dead", "it is unplugged", InjectedFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
+        FaultRow(f"{pad}-replaced", "it comes back under another number",
+                 InjectedFault("unplug", pad, for_s=0.5), "hold", (port,), ((port, "hold"),), (f"{pad}-silent",)),
+        FaultRow(f"{pad}-overflow", "the kernel drops its data", InjectedFault("overflow", pad), "tracking",
                  ("nothing",)),
-        FaultRow(f"{pad}-mute", "it falls silent while the palms turn", RowFault("mute", pad), "hold",
+        FaultRow(f"{pad}-mute", "it falls silent while the palms turn", InjectedFault("mute", pad), "hold",
                  (f"{pad}-mute",), ((f"{pad}-silent", "hold"),)),
     )
 

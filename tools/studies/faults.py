@@ -1,8 +1,9 @@
 """Every fault injected into the emulated rig, with real processes: the reaction, and the time to standstill.
 
-The runs are recorded, and `palmd why` is asked about each recording. Exit status 1 if a row deviates, or if fewer than
-95 % of the answers are right. The time to standstill is reported beside its goal but does not affect the status, since
-it depends on the machine as well.
+The runs are recorded, and `palmd why` is asked about each recording. Columns: expected and observed state and faults;
+median time until an expected fault was reported; median and worst time to standstill, with the goal (ms); answers of
+`palmd why`, and how many are right; deviations. Exit status 1 if a row deviates, or if fewer than 95 % of the answers
+are right. The time to standstill does not affect the status, since it depends on the machine as well.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from palmd.rig.fault_injection import PADS
 from palmd.rig.imperfections import perfect
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import load_config
+from tools.studies.fault_processes import FaultProcesses
 from tools.studies.fault_reaction import Reaction, all_as_promised, as_line, differences, summary, table
 from tools.studies.fault_rows import INPUT_ROWS, NAMES, ROWS, SERVO_ROWS, STRIP_ROWS, FaultRow
-from tools.studies.fault_stand import Stand
 from tools.studies.harness import ROWS as FILE
 from tools.studies.harness import terminable, writable, write
 
@@ -101,29 +102,29 @@ RIGS = {
 
 
 class _Campaign(ExitStack):
-    """Creates a stand when a row needs one, and a new one when the stand has become unusable."""
+    """Creates the processes when a row needs them, and new ones when they have become unusable."""
 
     def __init__(self, kind: RigKind, seed: int, runs: Path) -> None:
         super().__init__()
         self._kind, self._seed, self._runs = kind, seed, runs
-        self._stand: Stand | None = None
+        self._processes: FaultProcesses | None = None
 
     def provoke(self, row: FaultRow) -> Reaction:
         """One provocation, repeated if the row deviates while the machine delayed the rig."""
         for _ in range(STARVED_TRIES):
-            reaction = self._on_stand(row)
+            reaction = self._once(row)
             if not (reaction.starved and differences(row, reaction)):
                 break
             print(f"{row.name}: the machine delayed the rig; trying again", file=sys.stderr)
         return reaction
 
-    def _on_stand(self, row: FaultRow) -> Reaction:
-        if self._stand is None:
+    def _once(self, row: FaultRow) -> Reaction:
+        if self._processes is None:
             folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="palmd-faults-")))
             config = perfect(self._kind.config()).model_copy(update={"plan": shipped(PLAN)})
-            self._stand = self.enter_context(Stand(folder, config, self._seed, self._runs))
-        reaction = self._stand.provoke(row)
-        if not self._stand.usable:
+            self._processes = self.enter_context(FaultProcesses(folder, config, self._seed, self._runs))
+        reaction = self._processes.provoke(row)
+        if not self._processes.usable:
             self.close()
-            self._stand = None
+            self._processes = None
         return reaction

@@ -29,6 +29,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import drawing, missing, raise_if_other
 from palmd.console.progress import Progress
 from palmd.jsonvalues import or_none
+from palmd.rig.simulate import CALIBRATION
 from tools.studies import runs
 
 if TYPE_CHECKING:
@@ -58,10 +59,11 @@ class Study(Generic[Task, Row]):
     """See the module. `order`: sort key of rows. `by`: name of a row's group; each group is a line of the table.
 
     across: each group is a column instead. whole: name of a last group with all rows. report: replaces the table.
-    remarks: lines about single runs. panels: of a figure (label, value, unit, marks, logarithmic; see `figure`);
-    `output` is then a folder. resumes: rows in the file are kept, and their tasks are not repeated. line, row_of:
-    writer and reader of rows with more than plain values; `row_of` raises TypeError, KeyError, ValueError or
-    AttributeError for anything else.
+    totals: lines after the table. title: name of a run; remark: one or more remarks on it, "" for none; the error of a
+    failed run is its remark. panels: of a figure (label, value, unit, marks, logarithmic; see `figure`); `output` is
+    then a folder. resumes: rows in the file are kept, and their tasks are not repeated. line, row_of: writer and reader
+    of rows with more than plain values; `row_of` raises TypeError, KeyError, ValueError or AttributeError for anything
+    else.
     """
 
     name: str
@@ -74,7 +76,9 @@ class Study(Generic[Task, Row]):
     across: bool = False
     whole: str = ""
     report: Callable[[Sequence[Row]], str] | None = None
-    remarks: Callable[[Sequence[Row]], Iterable[str]] = lambda _: ()
+    totals: Callable[[Sequence[Row]], Sequence[str]] = lambda _: ()
+    title: Callable[[Any], str] = lambda row: f"{row.kind} {row.seed}"
+    remark: Callable[[Row], str | Sequence[str]] = lambda _: ""
     goals: Sequence[Goal[Row]] = ()
     panels: Sequence[Panel] = ()
     resumes: bool = False
@@ -106,6 +110,12 @@ class Study(Generic[Task, Row]):
             return aligned([("", list(groups)), *lines])
         lines = [(name, [cell(some) for _, cell in self.columns]) for name, some in groups.items()]
         return aligned([("", [title for title, _ in self.columns]), *lines])
+
+    def remarks(self, rows: Iterable[Row]) -> list[str]:
+        """A line for each remark on these runs."""
+        found = [(row, getattr(row, "error", "") or self.remark(row)) for row in rows]
+        each = [(row, [some] if isinstance(some, str) else some) for row, some in found]
+        return [f"{self.title(row)}: {text}" for row, texts in each for text in texts if text]
 
     def _grouped(self, rows: Sequence[Row]) -> dict[str, list[Row]]:
         return {name: [row for row in rows if self.by(row) == name] for name in dict.fromkeys(map(self.by, rows))}
@@ -151,8 +161,8 @@ class Study(Generic[Task, Row]):
         if hasattr(rows[0], "seed"):
             print(f"seeds {numbers(row.seed for row in rows if hasattr(row, 'seed'))}")
         print(self.report(rows) if self.report else self.tabled(rows))
-        for remark in self.remarks(rows):
-            print(remark)
+        for line in (*self.totals(rows), *self.remarks(rows)):
+            print(line)
         missed = [goal for goal in self.goals if not goal.met(rows)]
         for goal in missed:
             print(f"goal missed: {goal.text}")
@@ -191,6 +201,19 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=count, metavar="J", help="processes on this machine (default: one per processor)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a Dask cluster, e.g. tcp://127.0.0.1:8786")
+
+
+def add_imperfections(parser: argparse.ArgumentParser, *more: str, default: str = "none") -> None:
+    """Add the argument for the rig's imperfections: one of `CALIBRATION`, or of `more`."""
+    parser.add_argument("--imperfections", choices=(*CALIBRATION, *more), default=default,
+        help="imperfections of the rig, drawn by the seed (default: %(default)s)")  # fmt: skip
+
+
+def of_kinds(kinds: Sequence[Any], task: Callable[[Any, int, argparse.Namespace], Task]) -> Draw[Task]:
+    """A function that draws the requested number of runs of each kind, all kinds with the same seeds."""
+    return lambda arguments: [
+        task(kind, seed, arguments) for seed in seeds_of(arguments) for kind in kinds_of(arguments, kinds)
+    ]
 
 
 def kinds_of(arguments: argparse.Namespace, kinds: Sequence[str]) -> Sequence[Any]:

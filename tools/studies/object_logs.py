@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from palmd.motion.rollout_predictor import BINS
 from palmd.observer import Simulated
 from palmd.observer.reconstruct import reconstruct
 from palmd.quantities import EVENTS
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import EventLog
 from palmd.rig.dry_plant import DRY
 from palmd.rig.plant import FrictionSurface, PlantOptions
 from palmd.rig.shapes import Body, Support, random_body
@@ -39,15 +40,15 @@ from palmd.system import vibration
 from palmd.yamlfile import ConfigError, load_plan
 from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness
-from tools.studies.cells import Cell, among, count_of, most, quantiles
-from tools.studies.exploring_plans import plan
-from tools.studies.exploring_watch import ExplorationWatch
+from tools.studies.cells import accepted, count_of, most, quantiles
+from tools.studies.exploration_plans import plan
+from tools.studies.exploration_statistics import ExplorationStatistics
 from tools.studies.harness import Study, result
 from tools.studies.real_objects import Random, real_object
-from tools.studies.scoring import FAR, RIGHT_M
+from tools.studies.scoring import FAR, RIGHT_M, rms
 from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
-from tools.studies.silent_observer import SilentObserver
-from tools.studies.simulated import written
+from tools.studies.simulated import log_of
+from tools.studies.stub_observers import EmptyObserver
 
 _STREAM = 31  # random stream of the bodies, distinct from the motion's
 
@@ -69,12 +70,8 @@ def _dented(random: Random, chord: float) -> Body:
     return uniform_body("dented lump", hull, float(random.uniform(0.05, 0.25)))
 
 
-def _lump(random: Random) -> Body:
-    return random_body("friction", random)
-
-
-def _real_object(name: str) -> Callable[[Random], Body]:
-    return lambda random: real_object(name, random).body
+def _real(name: str, random: Random) -> Body:
+    return real_object(name, random).body
 
 
 BODIES: Mapping[str, Callable[[Random], Body]] = {
@@ -82,8 +79,8 @@ BODIES: Mapping[str, Callable[[Random], Body]] = {
     "corners of 1 mm": lambda random: _polygon(random, 1e-3),
     "dent of 4 mm": lambda random: _dented(random, 4e-3),
     "dent of 10 mm": lambda random: _dented(random, 10e-3),
-    "dry lump": _lump,
-    **{name: _real_object(name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
+    "dry lump": partial(random_body, "friction"),
+    **{name: partial(_real, name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
 }
 """For each kind a function that draws its body. Dry kinds have Coulomb friction without dither."""
 
@@ -149,7 +146,7 @@ def run(task: SharpTask) -> SharpRow:
     log, truth, shown = simulated(task)
     t_cpu = time.process_time()
     answer = reconstruct(log.events, log.rig)
-    row = result(SharpRow, task, reason=answer.reason.text, took_s=time.process_time() - t_cpu, shown=shown)
+    row = result(SharpRow, task, reason=answer.reason, took_s=time.process_time() - t_cpu, shown=shown)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -158,7 +155,7 @@ def run(task: SharpTask) -> SharpRow:
         accepted=True,
         e_h_m=score.e_h,
         most_m=score.max_error,
-        sd_m=float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2))),
+        sd_m=rms(answer.h_sd[answer.touched]),
         touched=score.touched,
         sides=len(answer.sides),
         explained_s=answer.lasts,
@@ -179,8 +176,7 @@ def simulated(task: SharpTask) -> ObjectRecording:
         "friction", task.seed, task.seconds, options, body,
         surface=surface, calibration_sd=sds, vibration=vibration.DRY if dry else vibration.INDEPENDENT,
     )  # fmt: skip
-    with written(lines) as path:
-        return ObjectRecording(read_log(path), truth, math.nan)
+    return ObjectRecording(log_of(lines), truth, math.nan)
 
 
 LOG_S = 20.0  # duration of a log
@@ -209,36 +205,30 @@ def _moves(path: Path | None, seconds: float) -> PlanSpec:
         raise CliError(BAD_INPUT, str(error)) from None
 
 
+VERDICTS = ("right", "in its band", "wrong", "rejected")
+
+
 def verdict(row: SharpRow) -> str:
-    """`right`, `in its band`, `wrong` or `rejected`."""
+    """One of `VERDICTS`."""
     if not row.accepted:
         return "rejected"
     return "right" if row.right else "in its band" if row.rough else "wrong"
 
 
-def remarks(rows: Sequence[SharpRow]) -> list[str]:
-    """A line for each log with its results and shape classification."""
-    lines = []
-    for row in rows:
-        shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
-        name = f"{row.kind} {row.seed}"
-        if row.error or not row.accepted:
-            lines.append(f"{name}: {row.error or 'rejected: ' + row.reason}{shown}")
-        else:
-            lines.append(
-                f"{name}: {verdict(row)}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
-                f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched{shown}, {row.explained_s:.1f} s explained, sides:"
-                f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.took_s:.0f} s; {row.looks_like}"
-            )
-    return lines
+def _has(which: str, row: SharpRow) -> bool:
+    return verdict(row) == which
 
 
-def _verdict(which: str) -> tuple[str, Cell]:
-    return which, count_of(lambda row: verdict(row) == which)
-
-
-def _accepted(cell: Cell) -> Cell:
-    return among(lambda row: row.accepted, cell)
+def remark(row: SharpRow) -> str:
+    """The results of a log, with its shape classification."""
+    shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
+    if not row.accepted:
+        return f"rejected: {row.reason}{shown}"
+    return (
+        f"{verdict(row)}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd {1e6 * row.sd_m:.0f} µm,"
+        f" {row.touched:.0%} touched{shown}, {row.explained_s:.1f} s explained, sides: {row.sides},"
+        f" mass {row.mass_z:+.1f} sd, {row.took_s:.0f} s; {row.looks_like}"
+    )
 
 
 OFFLINE = Study(
@@ -249,15 +239,15 @@ OFFLINE = Study(
     order=lambda row: (KINDS.index(row.kind), row.seed),
     by=lambda row: row.kind,
     columns=[
-        *map(_verdict, ("right", "in its band", "wrong", "rejected")),
-        ("µm", _accepted(quantiles(lambda row: row.e_h_m, 1e6))),
-        ("largest", _accepted(most(lambda row: row.most_m, 1e6))),
-        ("error / sd: median, most", _accepted(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
-        ("touched %", _accepted(quantiles(lambda row: row.touched, 100.0))),
-        ("explained (s)", _accepted(quantiles(lambda row: row.explained_s))),
+        *((which, count_of(partial(_has, which))) for which in VERDICTS),
+        ("µm", accepted(quantiles(lambda row: row.e_h_m, 1e6))),
+        ("largest", accepted(most(lambda row: row.most_m, 1e6))),
+        ("error / sd: median, most", accepted(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
+        ("touched %", accepted(quantiles(lambda row: row.touched, 100.0))),
+        ("explained (s)", accepted(quantiles(lambda row: row.explained_s))),
         ("processor (s): median, most", quantiles(lambda row: row.took_s, 1.0, (0.5, 1.0))),
     ],
-    remarks=remarks,
+    remark=remark,
     line=lambda row: harness.as_line(replace(row, plan=None)) | {"plan": row.plan and row.plan.name},
 )
 
@@ -287,12 +277,12 @@ def recorded(
     config = default_config(imperfections)
     rig = rig_description(config)
     explores = any(isinstance(segment, ExploreSpec) for segment in plan.segments)
-    estimated_by = {"smoothing": Simulated(rig)} if explores else {"estimator": SilentObserver()}
+    estimated_by = {"smoothing": Simulated(rig)} if explores else {"estimator": EmptyObserver()}
     loop = TwoPalmsLoop(config, plan, seed, options=options, body=body, surface=surface, **estimated_by)
     loop.start()
     pads = tuple(pad.length for pad in rig.pads)
     events = list[Event]()
-    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, loop.t)
+    watch = ExplorationStatistics(np.ones(BINS, dtype=np.bool_), pads, loop.t)
     for instant in loop.run(seconds):
         watch.take(instant)
         events += events_of(instant.messages[EVENTS.name])

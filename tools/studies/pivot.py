@@ -47,12 +47,10 @@ from tools.studies.pivot_logs import (
     PivotKind,
     simulate_pivot_log,
 )
-from tools.studies.scoring import rms
+from tools.studies.scoring import FAR, RIGHT_M, rms
 from tools.studies.simulated import written
 
 Mark = Callable[[Any], bool]
-
-RIGHT_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -115,15 +113,6 @@ def run(task: PivotTask) -> PivotRow:
     )
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[PivotTask]:
-    """The requested number of runs of each kind, all kinds with the same seeds."""
-    return [
-        PivotTask(kind, seed, arguments.seconds, arguments.trouble)
-        for kind in harness.kinds_of(arguments, PIVOT_KINDS)
-        for seed in harness.seeds_of(arguments)
-    ]
-
-
 def outline_columns(e: Value, sd: Value, mu_error: Value, mu_z: Value, accepted: Mark) -> Sequence[tuple[str, Cell]]:
     """Columns with errors of outline and friction of the accepted runs, absolute and relative to 1σ."""
     cells: list[tuple[str, Cell]] = [
@@ -139,7 +128,7 @@ def outline_columns(e: Value, sd: Value, mu_error: Value, mu_z: Value, accepted:
 
 OFFLINE = Study(
     "pivoting grasp",
-    draw,
+    harness.of_kinds(PIVOT_KINDS, lambda kind, seed, of: PivotTask(kind, seed, of.seconds, of.trouble)),
     run,
     PivotRow,
     order=lambda row: (row.kind, row.trouble, row.seed),
@@ -153,13 +142,12 @@ OFFLINE = Study(
             lambda row: row.converged,
         ),
     ],
-    remarks=lambda rows: [f"{row.kind} {row.seed}: {row.error or row.reason}" for row in rows if not row.converged],
+    remark=lambda row: "" if row.converged else row.reason,
 )  # fmt: skip
 
 
 LONGEST_S = 240.0  # longest run; explorations end by themselves before
 AFTER_S = 2.0  # further time for the smoother's last answers
-BEYOND = 3.0  # in 1σ: larger errors of accepted outlines are wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +176,7 @@ class LiveRow(LiveTask):
     since the start; acceptances: number of accepted ones. e, most, sd: of the last accepted outline where touched:
     RMS and largest error, RMS of its 1σ. worst_e, worst_z: of all accepted outlines, the largest RMS error, and in
     1σ. mu_error, mu_z: of the last one, and in 1σ. valid: valid ticks; wrong: of these, with a contact error above
-    `WRONG_M` or with a wrong outline; beyond: with a contact error above `BEYOND` 1σ. left: unintended losses of
+    `WRONG_M` or with a wrong outline; beyond: with a contact error above `FAR` 1σ. left: unintended losses of
     contact that were detected; losses: all losses, including intended ones at the end of a side. error: the
     exception, without any other result.
     """
@@ -226,8 +214,8 @@ class LiveRow(LiveTask):
 
     @property
     def accepted_wrong(self) -> bool:
-        """Whether some accepted outline was wrong by more than `WRONG_M` or `BEYOND` 1σ."""
-        return self.acceptances > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
+        """Whether some accepted outline was wrong by more than `WRONG_M` or `FAR` 1σ."""
+        return self.acceptances > 0 and (self.worst_e > WRONG_M or self.worst_z > FAR)
 
 
 def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
@@ -298,7 +286,7 @@ class LiveScorer:
         ticks["valid"] += 1
         error = abs(estimate["e_m"] - truth["e_m"]) if truth["touch1"] else 0.0
         ticks["wrong"] += error > WRONG_M or self._outline_is_wrong
-        ticks["beyond"] += error > BEYOND * estimate["sd"]["e_m"]
+        ticks["beyond"] += error > FAR * estimate["sd"]["e_m"]
 
     def _score_answer(self, t: float, answer: PivotAnswer) -> None:
         results, truth = self._results, self.live.world.object_truth()
@@ -308,13 +296,13 @@ class LiveScorer:
             return
         theta, touched = directions(), answer.touched > 0
         score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], touched, np.array(truth["hP_m"]))
-        sd = float(np.sqrt(np.mean(answer.h_sd[touched] ** 2)))
+        sd = rms(answer.h_sd[touched])
         results.setdefault("t_accepted", t - self.t_start)
         results["acceptances"] += 1
         results |= {"e": score.e_h, "most": score.max_error, "sd": sd, "touched": score.touched}
         results["worst_e"] = max(results["worst_e"], score.e_h)
         results["worst_z"] = max(results["worst_z"], score.e_h / sd)
-        self._outline_is_wrong = score.e_h > WRONG_M or score.e_h > BEYOND * sd
+        self._outline_is_wrong = score.e_h > WRONG_M or score.e_h > FAR * sd
         mu, mu_sd = friction_of(answer.p, answer.covariance)
         results["mu_error"] = mu - truth["mu"]
         results["mu_z"] = results["mu_error"] / mu_sd
@@ -324,20 +312,16 @@ class LiveScorer:
         return self._results | self._ticks
 
 
-def remarks(rows: Sequence[LiveRow]) -> list[str]:
-    """A line for each run that is not right or had a wrong accepted outline."""
-    return [remark(row) for row in rows if not row.right or row.accepted_wrong]
-
-
 def remark(row: LiveRow) -> str:
-    """The line for one run."""
-    name = f"{row.name} {row.seed}"
-    if row.error or not row.acceptances:
-        return f"{name}: {row.error or row.reason or 'nothing was accepted'}"
+    """On a run that is not right or had a wrong accepted outline."""
+    if row.right and not row.accepted_wrong:
+        return ""
+    if not row.acceptances:
+        return row.reason or "nothing was accepted"
     error, sd = row.e * 1e6, row.sd * 1e6
     worst = f"worst errors {row.worst_e * 1e6:.0f} µm and {row.worst_z:.1f} sd"
     kept = "" if row.accepted else f", withdrawn: {row.reason}"
-    return f"{name}: outline error {error:.0f} µm, sd {sd:.0f} µm, {worst}{kept}"
+    return f"outline error {error:.0f} µm, sd {sd:.0f} µm, {worst}{kept}"
 
 
 def _part(part: str, of: str, form: str) -> Cell:
@@ -372,7 +356,8 @@ LIVE = Study(
         ("valid", _part("valid", "ticks", ".0%")),
         ("of those wrong", _part("wrong", "valid", ".2%")),
     ],
-    remarks=remarks,
+    title=lambda row: f"{row.name} {row.seed}",
+    remark=remark,
     resumes=True,
 )  # fmt: skip
 

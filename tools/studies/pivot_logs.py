@@ -14,10 +14,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.rig.pivot import GRAVITY, Axis, Grasp
+from palmd.rig.pivot import GRAVITY, Axis, Grasp, Slide
 from palmd.rig.shapes import random_body
 
 Line = dict[str, Any]
+Span = tuple[float, float]
 PivotKind = Literal["tilt", "float"]
 PIVOT_KINDS: tuple[PivotKind, ...] = get_args(PivotKind)
 
@@ -28,6 +29,7 @@ _PAD_M = 0.0555
 _MARGIN_M = 3.5e-3
 _BANDS_S, _WEIGHTS = (0.00625, 0.0125, 0.01875), (0.55, 0.30, 0.15)
 _LEAST_N, _MOST_N = 0.05, 2.5
+_GAP_S = 0.2  # silence of the pad
 _ROUND_S = 1.0  # duration of the arm's detour from one touch to the next
 LEAST_S = 2.0  # shortest run: shorter drags cannot be tracked
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "s1_m", "z_m", "e_m", "f1_n", "touch")
@@ -37,19 +39,15 @@ _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "s1_m", "z_m", "e_m", "f1_n", "touch
 class PivotImperfections:
     """Differences of a run's readings from the rig described in line 1; none by default.
 
-    outliers: share of readings at a random position on the pad. gaps: number of times the pad is silent for `gap_s`.
-    noise, force_noise: factors on the noise. coulomb: friction without vibration, by tanh(u/u_d). zero: error of the
-    pad's zero (m). lag: of the pad's time stamps (s).
+    outliers: share of readings at a random position on the pad. gaps: number of times the pad is silent for `_GAP_S`.
+    noise, force_noise: factors on the noise. coulomb: friction without vibration, by tanh(u/u_d).
     """
 
     outliers: float = 0.0
     gaps: int = 0
-    gap_s: float = 0.2
     noise: float = 1.0
     force_noise: float = 1.0
     coulomb: bool = False
-    zero: float = 0.0
-    lag: float = 0.0
 
 
 AS_DESCRIBED = PivotImperfections()
@@ -71,32 +69,27 @@ def simulate_pivot_log(
     seed: int,
     duration_s: float = 12.0,
     flaws: PivotImperfections = AS_DESCRIBED,
-    *,
-    sides: int = 2,
-    odd: bool = False,
 ) -> tuple[list[Line], Line]:
     """A run as event-log lines (header first), and its truth; the same seed gives the same run.
 
-    sides: number of sides of the dead centre that a rigid gripper touches. Runs that wedge, lift off, press harder than
+    Runs that wedge, lift off, press harder than
     `_MOST_N` or leave the pad are drawn again. Raises ValueError for less than `LEAST_S`.
     """
     if not LEAST_S <= duration_s < math.inf:
         raise ValueError(f"a run must last at least {LEAST_S:g} s, not {duration_s:g} s")
     rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
     while True:
-        run = _tilt(rng, duration_s, flaws, sides, odd) if kind == "tilt" else _float(rng, duration_s, flaws, odd)
+        run = _tilt(rng, duration_s, flaws) if kind == "tilt" else _float(rng, duration_s, flaws)
         if run is not None:
             return _log(run, flaws, rng), _truth(run)
 
 
-def _grasp(
-    rng: np.random.Generator, flaws: PivotImperfections, least: float, most: float, mu: Axis, odd: bool
-) -> Grasp:
-    body = random_body("odd" if odd else "friction", rng)
+def _grasp(rng: np.random.Generator, flaws: PivotImperfections, least: float, most: float, mu: Span) -> Grasp:
+    body = random_body("friction", rng)
     body = replace(body, mass=float(rng.uniform(0.04, 0.12)))
     far, angle = float(rng.uniform(least, most)), float(rng.uniform(0.0, math.tau))
     pivot = (far * math.cos(angle), far * math.sin(angle))
-    friction = float(rng.uniform(mu[0], mu[1]))
+    friction = float(rng.uniform(*mu))
     dither, damping = float(rng.uniform(8e-3, 20e-3)), float(rng.uniform(1e-5, 4e-5))
     return Grasp(body, pivot, friction, dither, damping, coulomb=flaws.coulomb)
 
@@ -104,23 +97,21 @@ def _grasp(
 # ------------------------------------------------------------------------------------------------------ rigid
 
 
-def _tilt(
-    rng: np.random.Generator, duration: float, flaws: PivotImperfections, sides: int, odd: bool
-) -> SimulatedPivot | None:
-    grasp = _grasp(rng, flaws, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
+def _tilt(rng: np.random.Generator, duration: float, flaws: PivotImperfections) -> SimulatedPivot | None:
+    grasp = _grasp(rng, flaws, 5e-3, 9e-3, (0.05, 0.2))
     angles = np.linspace(-math.pi, math.pi, 1441)
     heights = np.array([grasp.height(a) for a in angles])
     top, bottom = heights.max(), heights.min()
     high = top - float(rng.uniform(0.10, 0.24)) * (top - bottom)
     low = bottom + float(rng.uniform(0.05, 0.20)) * (top - bottom)
-    each = duration if sides == 1 else (duration - _ROUND_S) / 2
-    drags = [_dragged(rng, each) for _ in range(sides)]
+    each = (duration - _ROUND_S) / 2
+    drags = [_dragged(rng, each) for _ in range(2)]
     z = _lowered(high, low, each)
     offsets = np.array([grasp.offset(a) for a in angles])
     order = [1.0, -1.0] if rng.random() < 0.5 else [-1.0, 1.0]
     rows: list[tuple[float, ...]] = []
     turned = 0.0
-    for side in range(sides):
+    for side, drag in enumerate(drags):
         wanted = np.flatnonzero((np.diff(np.sign(heights - high)) != 0) & (np.sign(offsets[1:]) == order[side]))
         if not len(wanted):
             return None
@@ -132,9 +123,9 @@ def _tilt(
             rows += [(begin - _ROUND_S + k * 1e-2, rows[-1][1], 0, math.nan, high, 0, 0, 0) for k in range(1, 100)]
         start = (begin, psi, order[side])
         # most draws fail somewhere: check with coarse steps first
-        if _touched(grasp, drags[side], z, each, start, _COARSE_S) is None:
+        if _touched(grasp, drag, z, each, start, _COARSE_S) is None:
             return None
-        touched = _touched(grasp, drags[side], z, each, start, _ROW_S)
+        touched = _touched(grasp, drag, z, each, start, _ROW_S)
         if touched is None:
             return None
         rows += touched
@@ -144,8 +135,8 @@ def _tilt(
 
     def both(plan: list[Callable[[float], Axis]]) -> Callable[[float], Axis]:
         def at(t: float) -> Axis:
-            if t <= each or sides == 1:
-                return plan[0](min(t, each))
+            if t <= each:
+                return plan[0](t)
             if t >= each + _ROUND_S:
                 return plan[1](min(t - each - _ROUND_S, each))
             begin, end = plan[0](each)[0], plan[1](0.0)[0]
@@ -154,7 +145,7 @@ def _tilt(
 
         return at
 
-    return SimulatedPivot("tilt", turned_grasp, both(drags), both([z] * sides), history)
+    return SimulatedPivot("tilt", turned_grasp, both(drags), both([z, z]), history)
 
 
 def _touched(
@@ -193,27 +184,24 @@ def _touched(
 
 def _lowered(high: float, low: float, each: float) -> Callable[[float], Axis]:
     """A motion from `high` to `low` and back, at rest at both ends and in the middle."""
-    half = each / 2
-
-    def at(t: float) -> Axis:
-        down = t <= half
-        w, dw, ddw = _smooth_step((t if down else t - half) / half)
-        begin, way = (high, low - high) if down else (low, high - low)
-        return begin + way * w, way * dw / half, way * ddw / half**2
-
-    return at
+    return _in_two_legs(each, (high, low - high), (low, high - low))
 
 
 def _dragged(rng: np.random.Generator, each: float) -> Callable[[float], Axis]:
     """A motion in two legs, to a random point and from there to another."""
-    half = each / 2
     start = float(rng.uniform(0.008, 0.047))
     ways = [float(rng.uniform(-0.032, 0.032)) for _ in range(2)]
+    return _in_two_legs(each, (start, ways[0]), (start + ways[0], ways[1]))
+
+
+def _in_two_legs(each: float, *legs: tuple[float, float]) -> Callable[[float], Axis]:
+    """A motion along two legs, each a start and a way, that lasts `each` (s)."""
+    half = each / 2
 
     def at(t: float) -> Axis:
         first = t <= half
         w, dw, ddw = _smooth_step((t if first else t - half) / half)
-        begin, way = (start, ways[0]) if first else (start + ways[0], ways[1])
+        begin, way = legs[0] if first else legs[1]
         return begin + way * w, way * dw / half, way * ddw / half**2
 
     return at
@@ -228,8 +216,8 @@ def _smooth_step(u: float) -> Axis:
 # ------------------------------------------------------------------------------------------------------ sliding
 
 
-def _float(rng: np.random.Generator, duration: float, flaws: PivotImperfections, odd: bool) -> SimulatedPivot | None:
-    grasp = _grasp(rng, flaws, 0.5e-3, 3e-3, (0.25, 0.4, 0.0), odd)
+def _float(rng: np.random.Generator, duration: float, flaws: PivotImperfections) -> SimulatedPivot | None:
+    grasp = _grasp(rng, flaws, 0.5e-3, 3e-3, (0.25, 0.4))
     carriage = grasp.body.mass * float(rng.uniform(0.8, 2.0))
     grasp = replace(grasp, carriage=carriage, carriage_damping=carriage * float(rng.uniform(1.0, 2.0)))
     f1, f2 = float(rng.uniform(0.12, 0.3)), float(rng.uniform(0.25, 0.45))
@@ -248,31 +236,18 @@ def _float(rng: np.random.Generator, duration: float, flaws: PivotImperfections,
         return 0.0277 + value, rate, acceleration
 
     psi = float(rng.uniform(-math.pi, math.pi))
-    turned_grasp = replace(grasp, body=grasp.body.turned(psi), pivot=grasp.arm(psi))
-    grasp, psi, omega = turned_grasp, 0.0, 0.0
-    rows = []
+    grasp = replace(grasp, body=grasp.body.turned(psi), pivot=grasp.arm(psi))
+    slide, rows = Slide(grasp, 0.0), list[tuple[float, ...]]()
     for k in range(round(duration / STEP_S) + 1):
         t = k * STEP_S
         now = x(t)
-        alpha, force = grasp.motion(psi, omega, now)
         if k % 4 == 0:  # each _ROW_S
-            e = grasp.offset(psi)
+            e, force = grasp.offset(slide.psi), grasp.motion(slide.psi, slide.omega, now)[1]
             s = now[0] + e
             if not (force > _LEAST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
                 return None
-            rows.append((t, psi, omega, s, grasp.height(psi), e, force, 1.0))
-        middle, end = x(t + STEP_S / 2), x(t + STEP_S)
-        h = STEP_S
-        k1p, k1o = omega, alpha
-        k2p = omega + h / 2 * k1o
-        k2o = grasp.motion(psi + h / 2 * k1p, k2p, middle)[0]
-        k3p = omega + h / 2 * k2o
-        k3o = grasp.motion(psi + h / 2 * k2p, k3p, middle)[0]
-        k4p = omega + h * k3o
-        k4o = grasp.motion(psi + h * k3p, k4p, end)[0]
-        psi += h / 6 * (k1p + 2 * k2p + 2 * k3p + k4p)
-        omega += h / 6 * (k1o + 2 * k2o + 2 * k3o + k4o)
-        if not abs(omega) < 100.0:
+            rows.append((t, slide.psi, slide.omega, s, grasp.height(slide.psi), e, force, 1.0))
+        if math.isnan(slide.advance(now, x(t + STEP_S), STEP_S, x(t + STEP_S / 2))):
             return None
     return SimulatedPivot("float", grasp, x, None, np.array(rows))
 
@@ -309,11 +284,11 @@ def _log(run: SimulatedPivot, flaws: PivotImperfections, rng: np.random.Generato
     times = float(rng.uniform(0.0, 0.01)) + np.cumsum(steps) - steps[0]
     times = times[times < end - 0.02]
     for begin in rng.uniform(0.0, end, flaws.gaps):
-        times = times[(times < begin) | (times > begin + flaws.gap_s)]
+        times = times[(times < begin) | (times > begin + _GAP_S)]
     touch = np.interp(times, history[:, 0], history[:, 7])
     times = times[touch > 0.999]
-    s, force = (np.interp(times - lag, history[:, 0], history[:, i]) for i, lag in ((3, flaws.lag), (6, 0.0)))
-    s = s + flaws.zero + rng.normal(0.0, 1e-4 * flaws.noise, len(s))
+    s, force = (np.interp(times, history[:, 0], history[:, i]) for i in (3, 6))
+    s = s + rng.normal(0.0, 1e-4 * flaws.noise, len(s))
     thrown = rng.random(len(s)) < flaws.outliers
     s[thrown] = rng.uniform(0.0, _PAD_M, int(thrown.sum()))
     s = np.round(s / 1.27e-4) * 1.27e-4

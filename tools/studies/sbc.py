@@ -8,8 +8,9 @@ of accepted runs should be uniform as well. The outlines vary less than their pr
 them, ranks concentrate about the middle although the band is right. The vibration's constants are not tested: the palms
 vibrate as described, on mounts that are not drawn from a prior.
 
-A file with runs is resumed: the same command with more runs does the missing ones and reports all. Files of several
-machines can be joined with `cat`.
+Columns, for each quantity: number of runs, mean and standard deviation of z, shares within 1, 2 and 3 sd, and a test of
+whether the ranks are uniform. A file with runs is resumed: the same command with more runs does the missing ones and
+reports all. Files of several machines can be joined with `cat`.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
-from palmd.jsonvalues import or_none
 from palmd.observer import prior
 from palmd.observer.criticism import CALIBRATION_SD
 from palmd.observer.first_guess import LN_GYRATION_SD
@@ -63,8 +64,7 @@ class SbcTask:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class MarginalPosterior:
+class MarginalPosterior(NamedTuple):
     """A quantity's true value, and mean and standard deviation of its Gaussian posterior; SI units."""
 
     true: float
@@ -127,7 +127,7 @@ def drawn_from_prior(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | Non
 
 def row_of(task: SbcTask, truth_line: Line, answer: Reconstruction) -> SbcRow:
     """The row of a reconstruction, compared with the simulator's truth."""
-    row = result(SbcRow, task, reason=answer.reason.text, chi2=float(answer.chi2))
+    row = result(SbcRow, task, reason=answer.reason, chi2=float(answer.chi2))
     truth = truth_of(truth_line)
     scored = outline_errors(answer, truth)
     if scored is None or answer.h is None:
@@ -198,14 +198,8 @@ def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, MarginalPoster
 # ------------------------------------------------------------------------------------------------ written
 
 
-def as_line(row: SbcRow) -> Line:
-    """The row as a JSON object, posteriors as lists of numbers."""
-    beliefs = {name: [or_none(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
-    return harness.as_line(replace(row, beliefs={})) | {"beliefs": beliefs}
-
-
 def row_from(line: Line) -> SbcRow:
-    """The inverse of `as_line`; raises AttributeError, KeyError, TypeError or ValueError for anything else."""
+    """The row of a JSON object; raises AttributeError, KeyError, TypeError or ValueError for anything else."""
     beliefs = {
         name: MarginalPosterior(*(math.nan if x is None else float(x) for x in each))
         for name, each in line["beliefs"].items()
@@ -214,12 +208,6 @@ def row_from(line: Line) -> SbcRow:
 
 
 # ---------------------------------------------------------------------------------------------------- the study
-
-
-def draw(arguments: argparse.Namespace) -> Sequence[SbcTask]:
-    """The requested number of runs of each kind, all kinds with the same seeds."""
-    kinds = harness.kinds_of(arguments, KINDS)
-    return [SbcTask(kind, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for kind in kinds]
 
 
 def accepted_of(rows: Iterable[SbcRow]) -> list[SbcRow]:
@@ -256,13 +244,9 @@ def report(rows: Sequence[SbcRow]) -> str:
     return "\n\n".join(_of_kind(*each) for each in ([*kinds, ("all kinds", rows)] if len(kinds) > 1 else kinds))
 
 
-def remarks(rows: Iterable[SbcRow]) -> list[str]:
-    """A line for each run that ended in an error, is accepted and wrong, or contradicts the correct rig description."""
-    return [f"{row.kind} {row.seed}: {remark}" for row in rows for remark in _remarks(row)]
-
-
-def _remarks(row: SbcRow) -> list[str]:
-    found = [row.error] if row.error else []
+def remarks_on(row: SbcRow) -> list[str]:
+    """On a run that is accepted and wrong, or that contradicts the correct description of the rig."""
+    found = []
     if row.converged and wrong(row):
         found.append(f"accepted, error {row.beyond_m * 1e3:.2f} mm beyond its band")
     if row.converged and far(row):
@@ -294,16 +278,15 @@ def _share(part: int, of: int) -> str:
 
 STUDY = Study(
     "calibration",
-    draw,
+    harness.of_kinds(KINDS, lambda kind, seed, arguments: SbcTask(kind, seed, arguments.seconds)),
     run,
     SbcRow,
     order=lambda row: (KINDS.index(row.kind), row.seed),
     report=report,
-    remarks=remarks,
+    remark=remarks_on,
     goals=[Goal("no accepted touched normal has an error more than 0.3 mm beyond its band",
                 lambda rows: not any(map(wrong, accepted_of(rows))))],
     resumes=True,
-    line=as_line,
     row_of=row_from,
 )  # fmt: skip
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray
+from palmd.events import FloatArray, ShapeEstimate
+from palmd.observer import Observer, Simulated, make
 from palmd.observer.reconstruction import Reconstruction
+from palmd.record.eventlog import EventLog
+from palmd.record.replay import replay
 from palmd.score import LAST_S, WRONG_M, OutlineScore, score_outline, support_at
 from tools.studies.bound import Truth
 
 RIGHT_M = 1e-4
+TICKS_PER_SHAPE = 10
 FAR = 3.0  # RMS error over the touched normals in 1σ, above which an accepted estimate is wrong on any rig
 CAUSAL_OUTLINE_M, CAUSAL_R_M = 2e-4, 3e-4  # limits for convergence of the live observer
 
@@ -40,20 +44,9 @@ class Causal:
 
 def truth_of(line: Line) -> Truth:
     """The `Truth` from a simulator's truth as a JSON object."""
-    columns = ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s")
-    theta, h, t, psi, omega0 = (np.array(line[name], dtype=np.float64) for name in columns)
-    return Truth(
-        rho=line["rho_m"],
-        mu=line["mu"],
-        mass=line["mass_kg"],
-        dither=line["dither_m_s"],
-        damping=line["damping_m2_s"],
-        theta=theta,
-        h=h,
-        t=t,
-        psi=psi,
-        omega0=omega0,
-    )
+    constants = (line[name] for name in ("rho_m", "mu", "mass_kg", "dither_m_s", "damping_m2_s"))
+    columns = (np.array(line[name], np.float64) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))
+    return Truth(*constants, *columns)
 
 
 # ------------------------------------------------------------------------------------------ reconstructed
@@ -71,6 +64,16 @@ class OutlineErrors:
     true_theta: FloatArray
     error: FloatArray
     h_sd: FloatArray
+
+    @property
+    def sd(self) -> float:
+        """RMS of 1σ over the touched normals (m)."""
+        return rms(self.h_sd[self.touched])
+
+    @property
+    def nees(self) -> float:
+        """Mean of (error / 1σ)² over the touched normals; 1 if the standard deviations are right."""
+        return float(np.mean((self.error[self.touched] / self.h_sd[self.touched]) ** 2))
 
 
 def outline_errors(answer: Reconstruction, truth: Truth) -> OutlineErrors | None:
@@ -101,21 +104,49 @@ def rms(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ObserverAnswers:
-    """A live observer's estimates, one per tick: t (s) from the first event, r_error and r_sd (n, 2) in m.
+    """A live observer's estimates, one per tick: t (s) from the first event, errors with their 1σ.
 
-    e_h (m): of the latest outline, NaN while there is none with touched normals.
+    r_error, r_sd: (n, 2) in m. e_h (m): of the latest outline, NaN while there is none with touched normals. omega0_z:
+    error of ω0 in 1σ.
     """
 
     t: FloatArray
     valid: Bools
     r_error: FloatArray
     r_sd: FloatArray
-    e_h: FloatArray
+    e_h: FloatArray = field(default_factory=lambda: np.empty(0))
+    omega0_z: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def wrong(self) -> Bools:
         """Ticks that are valid with an error of a radius above 0.3 mm."""
         return self.valid & (np.abs(self.r_error) > WRONG_M).any(axis=1)
+
+
+def replayed(log: EventLog, truth: Line, observer: Observer | None = None) -> ObserverAnswers:
+    """A live observer's estimates of a run with their errors; by default the daemon's, with a simulated smoother."""
+    observer = observer or make("shape", log.rig, smoothing=Simulated(log.rig))
+    true_h, rows, e_h = np.array(truth["h_m"]), list[tuple[float, ...]](), math.nan
+    for tick in replay(log, observer):
+        if tick.number % TICKS_PER_SHAPE == 0:
+            e_h = _e_h(observer.shape(tick.t), true_h)
+        now = tick.estimate
+        rows.append((tick.t, now.valid, now.r1, now.r2, now.sd["r1"], now.sd["r2"], e_h, now.omega0, now.sd["omega0"]))
+    t, valid, r1, r2, r1_sd, r2_sd, all_e_h, omega0, omega0_sd = np.array(rows, dtype=np.float64).T
+    true = {name: np.interp(t, truth["t"], truth[name]) for name in ("r1_m", "r2_m", "omega0_rad_s")}
+    return ObserverAnswers(
+        t=t - log.events[0].t_sample,
+        valid=valid > 0.0,
+        r_error=np.column_stack([r1 - true["r1_m"], r2 - true["r2_m"]]),
+        r_sd=np.column_stack([r1_sd, r2_sd]),
+        e_h=all_e_h,
+        omega0_z=(omega0 - true["omega0_rad_s"]) / omega0_sd,
+    )
+
+
+def _e_h(shape: ShapeEstimate | None, true_h: FloatArray) -> float:
+    score = shape and score_where_known(shape.theta, shape.h, shape.touched, true_h)
+    return score.e_h if score else math.nan
 
 
 def causal_of(answers: ObserverAnswers) -> Causal:

@@ -1,7 +1,7 @@
 """Convex bodies with corners and flat sides for the emulated rig: exact arcs, or a smooth outline with a chord. Pure.
 
 A corner is an arc of small radius. A flat side is an arc of so large a radius that the body rolls over it within
-`flat_rad`: the contact moves from one end of the side to the other with hardly any rotation. A flat palm cannot touch a
+`FLAT_RAD`: the contact moves from one end of the side to the other with hardly any rotation. A flat palm cannot touch a
 dent; the hull has a chord there, i.e. a flat side of an otherwise smooth outline.
 """
 
@@ -115,12 +115,12 @@ class ChordSupport:
         return ChordSupport(self.smooth.moved(dx, dy), self.normal, self.length, self.width)
 
 
-def rounded_polygon(corners: Sequence[Point], radius: float, flat_rad: float = FLAT_RAD) -> ArcSupport:
+def rounded_polygon(corners: Sequence[Point], radius: float) -> ArcSupport:
     """The hull of discs of `radius` (m) about `corners` (m), counter-clockwise and strictly convex."""
-    return hull_of_discs([(corner, radius) for corner in corners], flat_rad)
+    return hull_of_discs([(corner, radius) for corner in corners])
 
 
-def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSupport:
+def hull_of_discs(discs: Sequence[Disc]) -> ArcSupport:
     """The hull of discs, each (centre, radius) in m, counter-clockwise in their order along the outline.
 
     There is no flat side between two discs that touch internally.
@@ -131,14 +131,14 @@ def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSuppo
         if abs(edge) <= abs(r1 - r2) * (1.0 + 1e-9):
             starts.append(cmath.phase(edge if r1 > r2 else -edge))
         else:
-            # an arc of radius `wide` about c = here + (r1 - wide) u(first) = there + (r2 - wide) u(first + flat_rad)
-            turn = cmath.exp(1j * flat_rad)
+            # an arc of radius `wide` about c = here + (r1 - wide) u(first) = there + (r2 - wide) u(first + FLAT_RAD)
+            turn = cmath.exp(1j * FLAT_RAD)
             rotation_step, difference = turn - 1.0, r1 - r2 * turn
             half = (rotation_step.conjugate() * difference).real / abs(rotation_step) ** 2
             wide = math.sqrt(half**2 + (abs(edge) ** 2 - abs(difference) ** 2) / abs(rotation_step) ** 2) - half
             first = cmath.phase(edge / (wide * rotation_step + difference))
             centre = complex(*here) + (r1 - wide) * cmath.exp(1j * first)
-            starts += [first, first + flat_rad]
+            starts += [first, first + FLAT_RAD]
             radii.append(wide)
             centres.append((centre.real, centre.imag))
         radii.append(r2)

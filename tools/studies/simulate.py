@@ -2,8 +2,8 @@
 
 One seed draws plan, faults, commands of several clients, damaged bytes, stalls, slow helpers, clock steps and restarts;
 invariants are checked at every tick. A run that breaks one is reduced to the events that matter and printed as one
-command that repeats it bit for bit. Most runs have a light rig and a trivial observer. Exit status 1 if an invariant
-was broken.
+command that repeats it bit for bit. Most runs have a light rig and a trivial observer. The last lines count runs,
+simulated hours, broken invariants and what occurred. Exit status 1 if an invariant was broken.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress
 from tools.studies import runs
 from tools.studies.harness import terminable
-from tools.studies.simulation.happenings import RATE_HZ, Scenario, coarsened, drawn
 from tools.studies.simulation.run import Outcome, simulate
+from tools.studies.simulation.scenario import RATE_HZ, Scenario, coarsened, drawn
 
 SEEDS_MOST = 1 << 63
 
@@ -115,7 +115,7 @@ def _report_breach(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
         again = simulate(scenario.keeping(kept)).breach
         return again is not None and again.name == breach.name
 
-    least = scenario.keeping(shrunk([n for n in scenario.kept if scenario.happenings[n].t <= breach.t], breaks))
+    least = scenario.keeping(shrunk([n for n in scenario.kept if scenario.events[n].t <= breach.t], breaks))
     print(f"  {len(least.kept)} of {len(scenario.kept)} events suffice:")
     _list(least)
     kept = ",".join(map(str, least.kept)) or "none"
@@ -123,8 +123,8 @@ def _report_breach(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
 
 
 def _list(scenario: Scenario) -> None:
-    for number, happening in zip(scenario.kept, scenario.happenings, strict=True):
-        print(f"  {number}: {happening}")
+    for number, event in zip(scenario.kept, scenario.events, strict=True):
+        print(f"  {number}: {event}")
 
 
 def _fresh(for_s: float) -> Iterable[int]:

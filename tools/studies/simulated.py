@@ -28,8 +28,13 @@ def simulated(
     lines, truth = simulate_log(
         kind, seed, seconds, body=body, surface=surface, calibration_sd=CALIBRATION[imperfections]
     )
+    return log_of(lines), truth
+
+
+def log_of(lines: Iterable[Mapping[str, Any]]) -> EventLog:
+    """The log with these lines."""
     with written(lines) as path:
-        return read_log(path), truth
+        return read_log(path)
 
 
 @contextmanager

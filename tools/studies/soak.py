@@ -1,7 +1,8 @@
 """Soak test: the demo for hours with random fault injection; leaks, drift of lateness, lost messages.
 
 Rig, daemon, recorder and live page run as processes; injected faults, operator commands and visitors are drawn from the
-seed. Exit status 1 if a goal is missed. Memory and drift are judged for half an hour or more, punctuality for a minute
+seed. Columns: value and unit of each finding, its goal, and whether it is met (- if it is not judged). Exit status 1 if
+a goal is missed. Memory and drift are judged for half an hour or more, punctuality for a minute
 or more if the daemon has real-time priority.
 """
 
@@ -29,7 +30,7 @@ from palmd.record.run import RunError, read_run
 from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
 from tools.studies.harness import as_line, terminable, writable, write
-from tools.studies.soak_fault_injection import ScheduledAct, draw
+from tools.studies.soak_fault_injection import WHAT, ScheduledAct, draw
 from tools.studies.soak_findings import (
     SoakFinding,
     all_met,
@@ -42,7 +43,7 @@ from tools.studies.soak_findings import (
     table,
     without_goal,
 )
-from tools.studies.soak_stand import PLANS, SoakStand
+from tools.studies.soak_processes import PLANS, SoakProcesses
 
 FILE = "soak.jsonl"
 JUDGED_FROM_S = 60.0  # shortest soak in which punctuality is judged
@@ -69,10 +70,10 @@ def conduct(arguments: argparse.Namespace) -> int:
         write(stream, [{"row": "soak", "seed": number, "seconds": arguments.seconds}])
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="palmd-soak-")))
         runs = arguments.output.absolute() / "runs"
-        stand = SoakStand(folder, runs, config, number)
-        stack.callback(stand.keep, arguments.output)
-        stack.enter_context(stand)
-        findings = _soak(stand, draw(np.random.default_rng(number), arguments.seconds), stream, arguments)
+        processes = SoakProcesses(folder, config, number, runs)
+        stack.callback(processes.keep, arguments.output)
+        stack.enter_context(processes)
+        findings = _soak(processes, draw(np.random.default_rng(number), arguments.seconds), stream, arguments)
         write(stream, [{"row": "finding"} | as_line(finding) for finding in findings])
     print(table(findings))
     print(f"written: {arguments.output / FILE}")
@@ -80,32 +81,36 @@ def conduct(arguments: argparse.Namespace) -> int:
 
 
 def _soak(
-    stand: SoakStand, schedule: list[ScheduledAct], stream: TextIO, arguments: argparse.Namespace
+    processes: SoakProcesses, schedule: list[ScheduledAct], stream: TextIO, arguments: argparse.Namespace
 ) -> list[SoakFinding]:
-    stand.bring_to_motion()
+    processes.bring_to_motion()
     t_begin = time.monotonic()
-    watch = stand.watch
+    watch = processes.watch
     watch.seconds.clear()
-    _perform(stand, schedule, t_begin, arguments.seconds, stream)
+    _perform(processes, schedule, t_begin, arguments.seconds, stream)
     real_time = "no-realtime" not in watch.last_state["faults"]
     late = punctuality(watch.seconds, goal=real_time and arguments.seconds >= JUDGED_FROM_S)
     slopes = leaks(watch.processes, t_begin, arguments.seconds)
-    end, daemon = stand.come_to_rest()
+    end, daemon = processes.come_to_rest()
     write(stream, [{"row": "counts", "daemon": or_none(daemon)}])
     return [
         *slopes,
         without_goal("lateness", "real-time priority", float(real_time)),
         *late,
         between(
-            "behaviour", "malformed commands sent and not counted", stand.malformed - daemon["bus_malformed"], 0, 0
+            "behaviour", "malformed commands sent and not counted", processes.malformed - daemon["bus_malformed"], 0, 0
         ),
-        between("behaviour", "visitors not served", len(stand.unserved), 0, 0, why=", ".join(stand.unserved[:4])),
+        between(
+            "behaviour", "visitors not served", len(processes.unserved), 0, 0, why=", ".join(processes.unserved[:4])
+        ),
         between("behaviour", "ended ready or held", float(end in ("ready", "hold")), 1, 1, why=f"it ended {end}"),
-        *_recording(stand, daemon["bus_published"]),
+        *_recording(processes, daemon["bus_published"]),
     ]
 
 
-def _perform(stand: SoakStand, schedule: list[ScheduledAct], t_begin: float, duration_s: float, stream: TextIO) -> None:
+def _perform(
+    processes: SoakProcesses, schedule: list[ScheduledAct], t_begin: float, duration_s: float, stream: TextIO
+) -> None:
     """Perform the schedule and run to the end, with a row in the file each minute."""
     t_minute = t_begin
     left = list(schedule)
@@ -113,34 +118,32 @@ def _perform(stand: SoakStand, schedule: list[ScheduledAct], t_begin: float, dur
         while (t := time.monotonic()) < t_begin + duration_s:
             if left and t >= t_begin + left[0].t_s:
                 scheduled = left.pop(0)
-                kind = scheduled.act.what
-                write(
-                    stream,
-                    [{"row": "doing", "t_s": round(t - t_begin, 3), "what": kind} | dataclasses.asdict(scheduled.act)],
-                )
-                stand.do(scheduled.act)
+                act = scheduled.act
+                row = {"row": "doing", "t_s": round(t - t_begin, 3), "what": WHAT[type(act)]}
+                write(stream, [row | dataclasses.asdict(act)])
+                processes.do(act)
             if t >= t_minute + MINUTE_S:
                 t_minute += MINUTE_S
-                write(stream, [_minute(stand, t - t_begin)])
-            stand.live(min(t + 0.1, t_begin + duration_s))
+                write(stream, [_minute(processes, t - t_begin)])
+            processes.live(min(t + 0.1, t_begin + duration_s))
             progress.at(round(t - t_begin))
 
 
-def _minute(stand: SoakStand, t: float) -> dict[str, Any]:
-    watch = stand.watch
+def _minute(processes: SoakProcesses, t: float) -> dict[str, Any]:
+    watch = processes.watch
     last = minutes(watch.seconds[-61:])
     late = {} if not last else {name: getattr(last[-1], name) for name in ("p50_ms", "p99_ms", "max_ms", "missed")}
     rss = {name: round(series.rss_mb[-1], 1) for name, series in watch.processes.items()}
     return {"row": "minute", "t_s": round(t, 1), "state": watch.state, **late, "rss_mb": rss}
 
 
-def _recording(stand: SoakStand, published: int) -> list[SoakFinding]:
+def _recording(processes: SoakProcesses, published: int) -> list[SoakFinding]:
     """Findings about the recording, after daemon and recorder have ended."""
-    paths = stand.finish()
+    paths = processes.finish()
     try:
         found = [read_run(path) for path in paths]
         surveys = [run.survey() for run in found]
-        findings = recorded(surveys, stand.watch.numbers, published)
+        findings = recorded(surveys, processes.watch.numbers, published)
         if not found:
             return findings
         ticks = round(found[0].config.loop.rate_hz * REPLAYED_S)

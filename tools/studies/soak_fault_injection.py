@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from palmd.rig.fault_injection import INJECTABLE_FAULTS, PortName
+from palmd.rig.fault_injection import INJECTABLE_FAULTS
+from tools.studies.study_processes import InjectedFault
 
 GAP_S = (4.0, 16.0)
 """Range of time (s) between acts; more than half of them are faults, which need time for recovery."""
@@ -17,24 +17,12 @@ QUIET_S = 3.0  # without acts at the beginning and at the end
 
 
 @dataclass(frozen=True, slots=True)
-class InjectedFault:
-    """A fault injected into the emulated rig."""
-
-    what: ClassVar = "trick"
-    name: str
-    port: PortName | None
-    strength: float
-    for_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class OperatorCommand:
     """A command by another operator; the simulated operator resumes after `for_s` (s).
 
     `plan` stops the palms and loads the other of two plans: a lively one without end, and an exploration.
     """
 
-    what: ClassVar = "say"
     command: str
     for_s: float
 
@@ -47,12 +35,13 @@ class Visitor:
     requests the status and sends malformed commands.
     """
 
-    what: ClassVar = "visit"
     who: str
     for_s: float
 
 
 Act = InjectedFault | OperatorCommand | Visitor
+WHAT = {InjectedFault: "trick", OperatorCommand: "say", Visitor: "visit"}
+"""Names of the acts in a soak's file."""
 
 
 @dataclass(frozen=True, slots=True)

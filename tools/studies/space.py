@@ -10,7 +10,7 @@ import argparse
 import functools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -176,22 +176,19 @@ def draw_live(arguments: argparse.Namespace) -> Sequence[SpaceLiveTask]:
     return [SpaceLiveTask(seed, arguments.seconds, plan) for seed in harness.seeds_of(arguments)]
 
 
-def remarks(rows: Sequence[SpaceLiveRow]) -> Iterator[str]:
-    """One or two lines for each run."""
-    for row in rows:
-        if row.error:
-            yield f"{row.seed:8}: {row.error}"
-            continue
-        lost = f", {row.recovered} times valid again after {row.back_s:.1f} s" if row.losses else ""
-        yield (
-            f"{row.seed:8}: valid after {row.settled:.1f} s, converged after {row.converged_after:.1f} s, valid"
-            f" {row.valid:.0%} of the time since, {row.surface_error * 1e6:.0f} µm, {row.wrong} wrong,"
-            f" (e/sd)² {row.ratio:.2f}, fell off {row.losses} times{lost}; {row.reason or 'valid at the end'}"
-        )
-        if row.plan == "explore":
-            shares = zip(MARKS_S, row.coverage, strict=True)
-            touched = ", ".join(f"{share:.0%} after {mark:.0f} s" for mark, share in shares)
-            yield f"{row.seed:8}: touched {touched}, published {row.published:.0%}"
+def remarks_on(row: SpaceLiveRow) -> list[str]:
+    """One or two lines on each run."""
+    lost = f", {row.recovered} times valid again after {row.back_s:.1f} s" if row.losses else ""
+    lines = [
+        f"valid after {row.settled:.1f} s, converged after {row.converged_after:.1f} s, valid"
+        f" {row.valid:.0%} of the time since, {row.surface_error * 1e6:.0f} µm, {row.wrong} wrong,"
+        f" (e/sd)² {row.ratio:.2f}, fell off {row.losses} times{lost}; {row.reason or 'valid at the end'}"
+    ]
+    if row.plan == "explore":
+        shares = zip(MARKS_S, row.coverage, strict=True)
+        touched = ", ".join(f"{share:.0%} after {mark:.0f} s" for mark, share in shares)
+        lines.append(f"touched {touched}, published {row.published:.0%}")
+    return lines
 
 
 def _touched(row: SpaceLiveRow) -> float:
@@ -215,7 +212,8 @@ LIVE = Study(
         ("touched, %", quantiles(_touched, 100.0)),
         (f"touched {GOAL:.0%}", count(lambda row: _touched(row) >= GOAL)),
     ],
-    remarks=remarks,
+    title=lambda row: f"{row.seed:8}",
+    remark=remarks_on,
 )
 
 
@@ -276,7 +274,7 @@ def run_offline(task: SpaceTask) -> SpaceRow:
     spin = float(np.linalg.norm(run.truth["omega_rad_s"], axis=1).max())
     return result(
         SpaceRow, task, held=run.held, spin=spin, converged=answer.converged, h_error=error, ratio=ratio,
-        reason=answer.reason.text, took_s=took_s,
+        reason=answer.reason, took_s=took_s,
     )  # fmt: skip
 
 
@@ -338,7 +336,8 @@ OFFLINE = Study(
         ("(e/sd)²", among(lambda row: row.converged, mean(lambda row: row.ratio, ".2f"))),
         ("cpu s", quantiles(lambda row: row.took_s)),
     ],
-    remarks=lambda rows: [f"{row.kind} {row.body}: {row.error or row.reason}" for row in rows if not row.converged],
+    title=lambda row: f"{row.kind} {row.body}",
+    remark=lambda row: "" if row.converged else row.reason,
 )
 
 

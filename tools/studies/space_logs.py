@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -57,10 +56,6 @@ class SimulatedBody:
     truth: dict[str, Any]
     held: float
 
-    def text(self) -> str:
-        """The log as JSON lines."""
-        return "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in self.lines)
-
 
 class _Joints:
     """Joint angles of B rigs: sines about the rest pose with a smooth start."""
@@ -88,9 +83,9 @@ class _Joints:
         ]
 
 
-def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[SimulatedBody]:
+def simulate(kind: str, count: int, seconds: float, seed: int) -> list[SimulatedBody]:
     """`count` runs of one kind, each with its own body and motion; deterministic for a seed."""
-    described, ranges = rig or ThreePalmsRig(), KINDS[kind]
+    described, ranges = ThreePalmsRig(), KINDS[kind]
     random = np.random.default_rng([seed, sum(map(ord, kind))])
     bodies = random_bodies(count, random)
     joints = _Joints(ranges, count, random)

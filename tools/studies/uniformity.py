@@ -48,14 +48,14 @@ def at_most(part: int, of: int) -> float:
     return 1.0 if part == of else float(stats.beta.ppf(CONFIDENCE, part + 1, of - part))
 
 
-def crooked(found: dict[str, Uniformity]) -> list[str]:
+def non_uniform(found: dict[str, Uniformity]) -> list[str]:
     """Quantities whose ranks are not uniform, at level `SIGNIFICANCE` for all together."""
     return [name for name, each in found.items() if each.p < SIGNIFICANCE / len(found)]
 
 
 def table(found: dict[str, Uniformity]) -> str:
     """A line for each quantity, marked if its ranks are not uniform."""
-    marked = crooked(found)
+    marked = non_uniform(found)
     head = ("", ["runs", "mean z", "sd z", "≤ 1 sd %", "≤ 2 sd %", "≤ 3 sd %", "KS", "p", ""])
     right = stats.norm.cdf([1.0, 2.0, 3.0]) * 2.0 - 1.0
     expected = ("standard normal", ["", "0", "1", *(f"{100.0 * share:.1f}" for share in right), "", "", ""])

@@ -253,6 +253,6 @@ def _reconstructions(
         answer = reconstruct(log.events, log.rig.known_as(rig), seed)
         for note in log.notes:
             print(note, file=sys.stderr)
-        print(f"{path}: {'reconstructed' if answer.converged else f'left out: {answer.reason.text}'}", file=sys.stderr)
+        print(f"{path}: {'reconstructed' if answer.converged else f'left out: {answer.reason}'}", file=sys.stderr)
         if answer.converged:
             yield path, answer

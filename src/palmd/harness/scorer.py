@@ -28,7 +28,6 @@ class Scorer:
         self.estimate: Mapping[str, Any] = {}
         self.shape: Mapping[str, Any] | None = None
         self._last_valid: Mapping[str, Any] = _NOTHING
-        self._ticks = self._valid = 0
         self._errors: deque[tuple[float, ...]] = deque()  # t and the errors of `COMPARED`, the last `LAST_S`
 
     def take(self, t: float, estimate: Mapping[str, Any]) -> bool:
@@ -40,8 +39,6 @@ class Scorer:
         if counts:
             self.t_settled = t if self.t_settled is None else self.t_settled
             self._last_valid = estimate
-            self._valid += 1
-        self._ticks += self.t_settled is not None
         return counts
 
     def take_shape(self, shape: Mapping[str, Any]) -> None:
@@ -58,11 +55,6 @@ class Scorer:
     def settling_s(self) -> float:
         """Time from the begin of motion to the first valid tick (s), NaN if there is none."""
         return math.nan if self.t_settled is None or self.t_started is None else self.t_settled - self.t_started
-
-    @property
-    def valid_share(self) -> float:
-        """Fraction of valid ticks since the first valid one."""
-        return self._valid / self._ticks if self._ticks else math.nan
 
     def rms(self) -> tuple[float, float]:
         """RMS error of all radii (m) and of ω0 (rad/s), over the valid ticks of the last `LAST_S`."""

@@ -246,13 +246,19 @@ def rippled_directions(
     return (sigma[0], sigma[1]), lags[0] - lags[1]
 
 
-def pulled(forces: Sequence[Sequence[Any]], shares: Sequence[Any], mu: Sequence[Any], body: SlipResponse) -> Any:
-    """Return the part of α0 (rad/s²) due to contacts that would pull, and hop instead; absolute values added."""
-    return sum(
-        share * ca.fmax(-f, 0) * ca.fabs(d + m * s * r) / body.rho2
+def pulled(
+    forces: Sequence[Sequence[Any]], shares: Sequence[Any], mu: Sequence[Any], body: SlipResponse
+) -> tuple[Any, Any]:
+    """Return the parts of α0 (rad/s²) and of the forces (m/s²) due to contacts that would pull, and hop instead.
+
+    Absolute values added.
+    """
+    pulls = [
+        (share * ca.fmax(-f, 0), ca.fabs(d + m * s * r) / body.rho2)
         for pressed, share, signs in zip(forces, shares, SIGN_PAIRS, strict=True)
         for f, m, s, d, r in zip(pressed, mu, signs, body.d, body.r, strict=True)
-    )
+    ]
+    return sum(pull * turning for pull, turning in pulls), sum(pull for pull, _ in pulls)
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +268,7 @@ class Averaged:
     directions: of friction at each contact, for which one solve of the contact equations gives the mean forces;
     softened: the same by `softened_speeds`, which vary with the slips about as much as `directions`, but without jumps.
     pair_forces, shares, wedged: normal forces (m/s²), share of time and wedging of each of `SIGN_PAIRS`. transmission:
-    λ, 0 with the averaged law. pulled: see the function of that name.
+    λ, 0 with the averaged law. pulled, pull: both results of `pulled`.
     """
 
     directions: tuple[SX, ...]
@@ -272,6 +278,7 @@ class Averaged:
     wedged: tuple[SX, ...]
     transmission: SX
     pulled: SX
+    pull: SX
 
     def least_forces(self, means: Sequence[SX]) -> tuple[SX, ...]:
         """Return the smallest force on each contact within a vibration (m/s²), given the mean forces; at 0 it hops.
@@ -314,5 +321,5 @@ def averaged(
     slower = softened_speeds(speed, drive)
     softened, _ = directions([mean_direction(u / v) for u, v in zip(slip, slower, strict=True)], SX(0))
     wedged_pairs = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
-    hopping = transmission * pulled(forces, shares, mu, body)
-    return Averaged(rippled, softened, forces, shares, wedged_pairs, transmission, hopping)
+    hopping, pull = (transmission * each for each in pulled(forces, shares, mu, body))
+    return Averaged(rippled, softened, forces, shares, wedged_pairs, transmission, hopping, pull)

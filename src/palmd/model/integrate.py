@@ -26,10 +26,27 @@ def exponential_step(
     but in the stiff case depends on it, and so does the Jacobian. `touch`: the contact search in `rates` and `rate`,
     if any.
     """
-    frozen = SX.sym("rate")
+    touch = touch or Touch()
+    symbol = SX.sym("rate")
+    parameters = ca.vertcat(x, symbol)
     linear = SX(len(moving), 1)
-    linear[stiff] = frozen
+    linear[stiff] = symbol
     y = ca.vertcat(*(x[i] for i in moving))
+    intermediate = list[SX]()  # results of the stages, as symbols
+    jacobians = list[SX]()  # of each by `parameters`
+
+    def jacobian(value: SX) -> SX:
+        """By `parameters`, also through earlier results of the stages; all derivatives in one sweep."""
+        direct = ca.jacobian(value, ca.vertcat(parameters, *intermediate))
+        own, *through = ca.horzsplit(direct, [0, *range(parameters.numel(), direct.shape[1] + 1, len(moving))])
+        return own + sum(each @ by for each, by in zip(through, jacobians, strict=True))
+
+    def held(value: SX) -> SX:
+        """The value as symbols, so that each stage is differentiated once: the derivatives follow by the chain rule."""
+        symbols = ca.vertcat(*map(touch.freeze, ca.vertsplit(value)))
+        jacobians.append(jacobian(value))
+        intermediate.append(symbols)
+        return symbols
 
     def rest(state: SX, t: SX) -> SX:
         return rates(state, t) - linear * state
@@ -37,19 +54,17 @@ def exponential_step(
     z = linear * dt
     half, full = ca.exp(z / 2), ca.exp(z)
     to_middle = dt / 2 * _elementwise(_exprel, z / 2)
-    n0 = rest(y, SX(0))
-    a = half * y + to_middle * n0
-    n1 = rest(a, dt / 2)
-    b = half * y + to_middle * n1
-    n2 = rest(b, dt / 2)
-    c = half * a + to_middle * (2 * n2 - n0)
-    n3 = rest(c, dt)
+    n0 = held(rest(y, SX(0)))
+    a = held(half * y + to_middle * n0)
+    n1 = held(rest(a, dt / 2))
+    b = held(half * y + to_middle * n1)
+    n2 = held(rest(b, dt / 2))
+    c = held(half * a + to_middle * (2 * n2 - n0))
+    n3 = held(rest(c, dt))
     w0, w1, w2 = (dt * _elementwise(weight, z) for weight in (_weight_first, _weight_middle, _weight_last))
     moved = full * y + w0 * n0 + 2 * w1 * (n1 + n2) + w2 * n3
-    touch = touch or Touch()
-    expressions = touch.thawed(moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen))
-    result, by_x, by_rate = ca.substitute(expressions, [frozen], [rate])
-    moved, J = touch.thawed(result, by_x + by_rate @ ca.jacobian(rate, x))
+    result, by = ca.substitute(touch.thawed(moved, jacobian(moved)), [symbol], [rate])
+    moved, J = touch.thawed(result, by[:, :-1] + by[:, -1] @ ca.jacobian(rate, x))
     return moved, J
 
 

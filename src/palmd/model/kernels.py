@@ -98,7 +98,7 @@ def _operations() -> dict[int, str]:
         ca.OP_EQ: "truth(TEST({0} == {1}))", ca.OP_NE: "truth(TEST({0} != {1}))",
         ca.OP_SIGN: "truth(TEST({0} > 0.0)) - truth(TEST({0} < 0.0))",
         ca.OP_NOT: "not_({0})", ca.OP_AND: "and_({0}, {1})", ca.OP_OR: "or_({0}, {1})",
-        ca.OP_IF_ELSE_ZERO: "if_else_zero({0}, {1})", ca.OP_TAN: "EACH(tan, {0})", ca.OP_ATAN: "EACH(atan, {0})",
+        ca.OP_IF_ELSE_ZERO: "if_else_zero({0}, {1})", ca.OP_TAN: "EACH(tan, {0})", ca.OP_ATAN: "atan_({0})",
         ca.OP_ATAN2: "EACH2(atan2, {0}, {1})", ca.OP_POW: "EACH2(pow, {0}, {1})",
         ca.OP_CONSTPOW: "EACH2(pow, {0}, {1})", ca.OP_TANH: "EACH(tanh, {0})",
         ca.OP_LOG1P: "EACH(log1p, {0})",

@@ -2,7 +2,7 @@
    Compilers keep intermediate results of wider vectors in memory, which is many times slower.
 
    Only additions, multiplications, divisions, roots and bit operations, none of them contracted: one column gives the
-   same bits as eight, on any processor. sin, cos, exp and log are fdlibm's (Sun Microsystems 1993), within an ulp or two
+   same bits as eight, on any processor. sin, cos, exp, log and atan are fdlibm's (Sun Microsystems 1993), within an ulp or two
    of libm's; the angle's last bits are dropped, and beyond MOST_ANGLE the result is NaN.
 
    Define LANES before including it, and include it once per translation unit. */
@@ -125,4 +125,25 @@ INLINE lane log_(lane x) {
   lane y = k * 6.93147180369123816490e-01 - ((half - (s * (half + odd + even) + k * 1.90821492927058770002e-10)) - f);
   y = either(TEST(x == 0.0), EVERY(-INFINITY), either(TEST(x == INFINITY), x, y));
   return either(TEST(x >= 0.0), y, EVERY(NAN));
+}
+
+/* atan x = base + atan t with |t| < 7/16, t = (x - c) / (1 + c x) for the c = 0, 1/2, 1, 3/2 or infinity nearest to |x| */
+INLINE lane atan_(lane x) {
+  lane a = abs_(x), over = a, under = EVERY(1.0), high = EVERY(0.0), low = EVERY(0.0);
+#define FROM(least, numerator, denominator, base, rest) { \
+    mask beyond = TEST(a >= least); \
+    over = either(beyond, numerator, over), under = either(beyond, denominator, under); \
+    high = either(beyond, EVERY(base), high), low = either(beyond, EVERY(rest), low); }
+  FROM(0.4375, 2.0 * a - 1.0, 2.0 + a, 4.63647609000806093515e-01, 2.26987774529616870924e-17)
+  FROM(0.6875, a - 1.0, a + 1.0, 7.85398163397448278999e-01, 3.06161699786838301793e-17)
+  FROM(1.1875, a - 1.5, 1.0 + 1.5 * a, 9.82793723247329054082e-01, 1.39033110312309984516e-17)
+  FROM(2.4375, EVERY(-1.0), a, 1.57079632679489655800e+00, 6.12323399573676603587e-17)
+#undef FROM
+  lane t = over / under, z = t * t, w = z * z;
+  lane even = z * (3.33333333333329318027e-01 + w * (1.42857142725034663711e-01 + w * (9.09088713343650656196e-02
+            + w * (6.66107313738753120669e-02 + w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02)))));
+  lane odd = w * (-1.99999999998764832476e-01 + w * (-1.11111104054623557880e-01 + w * (-7.69187620504482999495e-02
+           + w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02))));
+  lane y = high - ((t * (even + odd) - low) - t);
+  return either(TEST(x == x), real(bits(y) | (bits(x) & INT64_MIN)), x);
 }

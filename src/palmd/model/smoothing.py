@@ -190,16 +190,17 @@ def step_function(form: Form = SMOOTH) -> ca.Function:
 
 
 def discrepancy_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → process noise densities of ω0 ((rad/s)²/s).
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → what the friction law leaves open.
 
-    The total due to the friction law's discrepancy, and the part due to hopping contacts.
+    Process noise density of ω0 ((rad/s)²/s), the part of it due to hopping contacts, and the force (m/s²) with which
+    these would have to pull.
     """
     x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
     palms, rig = palms_after(u[1:7], u[7:9], SX(0)), u[9:-2]
     model = _ContactModel(form.outline, touch_on(rig, form.curved), u[-2:])
     motion = _motion(x[0], x[1], p, palms, rig, model)
     braking = ca.jacobian(motion.softened_alpha0, x[1])
-    q = ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0])
+    q = ca.vertcat(ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0]), motion.pull)
     return ca.Function("discrepancy", [x, p, u], model.touch.thawed(q), ["x", "p", "u"], ["q"])
 
 

@@ -153,7 +153,7 @@ class Touch:
 
         def sample(s: Sequence[SX]) -> list[_OutlineSample]:
             return [
-                _OutlineSample.of(outline, self._freeze(theta), palm)
+                _OutlineSample.of(outline, self.freeze(theta), palm)
                 for theta, palm in zip(normals(s), PALMS, strict=True)
             ]
 
@@ -175,7 +175,7 @@ class Touch:
             current, stepped = at(s, samples), []
             for arc_length, along, contact in zip(s, alongs(phi2, *current), current, strict=True):
                 sinc, cos = _sinc_and_cos(0.5 * contact.turn)
-                change = (along - arc_length * sinc * cos) / self._freeze(
+                change = (along - arc_length * sinc * cos) / self.freeze(
                     _curvature_margin(contact.curvature, contact.v)
                 )
                 stepped.append(ca.fmin(ca.fmax(arc_length + change, -FARTHEST_M), FARTHEST_M))
@@ -191,12 +191,13 @@ class Touch:
             s = _on_circle(phi2, radius, curvatures)
             s = search(s, sample(s), COLD_STEPS)
         samples = sample(s)
-        self._last = [self._freeze(each) for each in search(s, samples, WARM_STEPS)]
+        self._last = [self.freeze(each) for each in search(s, samples, WARM_STEPS)]
         contacts = at(self._last if self._once else step(self._last, samples), samples)
         self._known.append((pose, contacts))
         return self._known[-1][1]
 
-    def _freeze(self, value: SX) -> SX:
+    def freeze(self, value: SX) -> SX:
+        """Return a symbol that derivatives treat as constant, until `thawed` substitutes the value for it."""
         symbol = SX.sym("frozen")
         self._frozen.append((symbol, value))
         return symbol

@@ -372,7 +372,7 @@ class DryModel:
         y = (h[0] * np.sin(two) + h[1] * np.sin(one)) / opening - arm * np.sin(one)
         limits = MOST_PULL, MOST_PULL, MOST_SPIN
         pull_x, pull_y, alpha = (
-            np.interp(self._t, record.t, np.clip(np.gradient(np.gradient(each, record.t), record.t), -most, most))
+            np.interp(self._t, record.t, np.clip(_second_derivative(each, record.t), -most, most))
             for each, most in zip((x, y, psi[at]), limits, strict=True)
         )
         return pull_x, pull_y + gravity, alpha
@@ -390,6 +390,13 @@ class DryModel:
         """Ratio of friction to normal force at the slipping contact, along t."""
         ratio: FloatArray = z[MU] * (1.0 + z[ASYMMETRY] * np.where(stuck, 1.0, -1.0)) * _signs(self._reported, stuck)
         return ratio
+
+
+def _second_derivative(values: FloatArray, t: FloatArray) -> FloatArray:
+    """By differences over two steps: the derivative of a derivative over four would miss a fifth of a 10 Hz dither."""
+    rates, middles = np.diff(values) / np.diff(t), 0.5 * (t[1:] + t[:-1])
+    inner = np.diff(rates) / np.diff(middles)
+    return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
 def _palms(reported: FloatArray, z: FloatArray) -> FloatArray:
@@ -422,9 +429,15 @@ def _q_slopes(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArr
     return slopes
 
 
-def phases_of(stuck: Palms, t: FloatArray) -> list[StickPhase]:
-    """Phases, from the stuck palm (0 or 1) at each of the times `t`."""
-    changes = np.flatnonzero(np.diff(stuck)) + 1
+def phases_of(stuck: Palms, t: FloatArray, reversals: FloatArray | None = None) -> list[StickPhase]:
+    """Phases, from the stuck palm (0 or 1) at each of the times `t`.
+
+    reversals: of `t`, at which a phase begins too: with dithered palms the object may turn there.
+    """
+    begins = np.diff(stuck) != 0
+    if reversals is not None:
+        begins |= np.isin(t[1:], reversals)
+    changes = np.flatnonzero(begins) + 1
     starts = [float(t[0]), *(0.5 * (t[changes] + t[changes - 1])).tolist()]
     return [StickPhase(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
 

@@ -18,7 +18,15 @@ from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, nothing_moves
 from palmd.observer.shape_classification import root_of, shape_class
-from palmd.observer.stuck_palms import CHANGE_COST, HOPELESS_S, FilterStart, blind, stuck_guess
+from palmd.observer.stuck_palms import (
+    CHANGE_COST,
+    HOPELESS_S,
+    FilterStart,
+    blind,
+    dithered,
+    stuck_guess,
+    without_dithered_forces,
+)
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS
@@ -34,6 +42,9 @@ MOST_OUTLIERS = 0.02
 MOST_PRIOR_COST, MOST_TURN_COST = 60.0, 2.0
 MOST_FRICTION_RATIO = 1.0  # friction over normal force: nothing that lies on a pad sticks better
 LEAST_FRICTION = 3.0  # σ of the friction; an object without friction is handled by another model
+DITHERED_LN_RHO = 0.06
+"""1σ of ln ρ on palms with a plan's dither (derivation: ρ² follows from the dither's accelerations, of which reports of
+the arm at 60 Hz miss 9 % at 10 Hz, and differences over 10 ms another 3 %)."""
 RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: factor on the radius; deviation of the outline, in prior 1σ
 
 
@@ -70,7 +81,7 @@ def _of_parts(search: Search, lost: float, seed: int, started: float) -> Reconst
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | float | None:
     """The accepted fit; or a time (s) if only the readings before it may be explained; None if nothing is."""
-    record, prior = _with_forces(search), search.prior
+    record, prior = without_dithered_forces(_with_forces(search)), search.prior
     gain_stds = [pad.force_gain_std for pad in search.rig.pads]
     if not all((record.force_pad == palm).any() for palm in PALMS):
         return None
@@ -78,7 +89,7 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | float | None:
     guess = stuck_guess(record, start)
     if isinstance(guess, float):
         return guess
-    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
+    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t, dithered(record)), gain_stds)
     fit = model.fit(model.initial_constants(guess.outline, guess.mass, guess.mu, guess.asymmetry))
     model, fit = _with_phases_refined(model, fit, start)
     if guess.explained_until < search.segment.end - BEFORE_LOST_S and _is_doubtful(model, fit):
@@ -92,7 +103,7 @@ def _with_phases_refined(model: DryModel, fit: DryFit, start: FilterStart) -> tu
         guess = stuck_guess(model.record, model.filter_start(fit, start))
         if isinstance(guess, float):
             break
-        other = model.with_phases(phases_of(guess.palms, model.record.t))
+        other = model.with_phases(phases_of(guess.palms, model.record.t, dithered(model.record)))
         other_fit = other.fit(other.initial_constants_from(fit))
         gain = fit.cost - other_fit.cost + CHANGE_COST * (len(model.phases) - len(other.phases))
         if gain > 0.0:
@@ -150,12 +161,13 @@ def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Rec
     if not rms_sd(conditional_outline.h_sd, outline.touched) < SHARP_M or z[MU] < LEAST_FRICTION * sd[MU]:
         return None
     rho, mass = math.exp(z[LN_RHO]), math.exp(z[LN_MASS])
+    ln_rho_sd = math.hypot(float(sd[LN_RHO]), DITHERED_LN_RHO if len(dithered(record)) else 0.0)
     root = root_of(shape.basis(outline.theta, ORDER), covariance[SHAPE, SHAPE])
     lying = Lying.at(record.palms, fit.psi, ORDER)
     return Reconstruction(
         converged=True, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
-        rho=rho, rho_sd=rho * float(sd[LN_RHO]), mu=float(z[MU]), mu_sd=float(sd[MU]),
+        rho=rho, rho_sd=rho * ln_rho_sd, mu=float(z[MU]), mu_sd=float(sd[MU]),
         mass=mass, mass_sd=mass * float(sd[LN_MASS]),
         rig=z[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,

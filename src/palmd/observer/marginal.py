@@ -80,7 +80,7 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
                 break
     largest = max(step.log_weight for step in steps)
     weights = np.exp([step.log_weight - largest for step in steps])
-    evidence = largest + math.log(weights.sum() * stride) - 0.5 * float(np.log(record.force_variance).sum())
+    evidence = largest + math.log(weights.sum() * stride) - 0.5 * float(np.log(record.total_force_variance).sum())
     weights /= weights.sum()
     x = sum(weight * step.posterior.beyond.x for weight, step in zip(weights, steps, strict=True))
     p = sum(weight * step.posterior.beyond.p for weight, step in zip(weights, steps, strict=True))

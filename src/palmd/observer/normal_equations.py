@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
-from palmd.model.smoothing import NODE
+from palmd.model.smoothing import NODE, C
 from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.median import median
 from palmd.observer.record import Record
@@ -31,6 +31,9 @@ BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s) in one step, a
 
 MOST_DISCREPANCY = 1e4
 """(rad/s)²/s (derivation: 7 rad/s in a step of 5 ms, more than any object turns by): the motion is unknown."""
+
+
+MOST_PULL = 100.0  # N (derivation: more than any pad measures): the force is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,18 +266,24 @@ class Residuals:
         self._take(guess)
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
-    def discrepancy(self, guess: Guess, hopping_only: bool) -> FloatArray:
-        """Uncertainty of ω0 that the friction law leaves in each step ((rad/s)²/s).
+    def discrepancy(self, guess: Guess, hopping_only: bool) -> tuple[FloatArray, FloatArray]:
+        """What the friction law leaves open: of ω0 in each step ((rad/s)²/s), and of each force reading (N²).
 
-        hopping_only: only in steps in which contacts hop.
+        hopping_only: of ω0 only in steps in which contacts hop. A force is off by about what contacts would have to
+        pull (study of engines, 2026-11-30: 0.03 and 0.055 N where they would pull by 0.03 and 0.06 N).
         """
-        steps, densities = len(self.record.dt), np.zeros((len(self._a) + 1, 2))
+        steps, left = len(self.record.dt), np.zeros((len(self._a) + 1, 3))
         self._take(guess)
         self._a[:steps] = guess.x[:-1]
-        self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [densities[:-1]])()
-        densities[steps:] = 0.0
-        density = densities[: steps + 1, int(hopping_only)]
-        return np.minimum(np.nan_to_num(density, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
+        self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [left[:-1]])()
+        left[steps:] = 0.0
+        density = left[: steps + 1, int(hopping_only)]
+        pull = math.exp(guess.p[C.LN_MASS]) * np.nan_to_num(
+            left[self.record.force_step, 2], nan=MOST_PULL, posinf=MOST_PULL
+        )
+        return np.minimum(np.nan_to_num(density, nan=MOST_DISCREPANCY), MOST_DISCREPANCY), np.minimum(
+            pull, MOST_PULL
+        ) ** 2
 
     def residuals(self, guess: Guess) -> FloatArray:
         """Residual of each contact reading, normalised by the σ of its noise."""
@@ -306,7 +315,7 @@ class Residuals:
             self.predicted_contacts(guess), record.contact_value, record.contact_variance, record.contact_weight
         )
         forces = routines.weighed(
-            self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight
+            self._forces.predicted(x), record.force_value, record.total_force_variance, record.force_weight
         )
         density = np.stack([np.full(steps, noise.psi), noise.omega0 + record.discrepancy[:-1]], axis=1)
         without_impacts = 1.0 / np.sqrt(record.dt[:, None] * density)

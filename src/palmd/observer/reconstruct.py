@@ -325,7 +325,7 @@ class _Part:
     def deviance(self) -> float:
         """−2 log-likelihood up to a constant; comparable between fits with different noise of the forces."""
         fit = self.fit if self.mapped is None else self.mapped.fit
-        return fit.cost + float(np.log(self.record.force_variance).sum())
+        return fit.cost + float(np.log(self.record.total_force_variance).sum())
 
     @property
     def blind(self) -> Prior:
@@ -638,7 +638,7 @@ def _if_concave(reason: Reason, rig: RigDescription) -> Reason:
     if max(rig.curvatures) <= 0.0:
         return reason
     curvatures = ", ".join(f"{kappa:.3g} 1/m" for kappa in rig.curvatures)
-    return replace(reason, text=f"{reason.text}; palms as concave as these ({curvatures}) may be too concave for it")
+    return Reason(reason.code, f"{reason}; palms as concave as these ({curvatures}) may be too concave for it")
 
 
 def _rejected(reason: Reason, started: float, chi2: float = math.nan) -> Reconstruction:

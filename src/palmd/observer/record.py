@@ -39,7 +39,7 @@ class Record:
     contact_has_force: whether the pad measured a force, which it does not beyond its scale.
     gap_steps: steps between parts, over which the motion is unknown (`within`).
     discrepancy (K + 1): uncertainty of ω0 by the model besides the process noise ((rad/s)²/s) in the step that begins
-    there, initially 0.
+    there, initially 0. force_discrepancy: variance of each force by the model besides its noise (N²), initially 0.
     contact_map: effect (m) of each constant of the pads' maps (`observer.pad_map`), which follow those of the kernels,
     on each contact.
     """
@@ -67,6 +67,7 @@ class Record:
     gap_steps: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     discrepancy: FloatArray = field(default_factory=lambda: np.zeros(0))
     contact_map: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    force_discrepancy: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """By default the model has no discrepancy, and pads have no map."""
@@ -74,6 +75,8 @@ class Record:
             object.__setattr__(self, "discrepancy", np.zeros(len(self.t)))
         if not len(self.contact_map):
             object.__setattr__(self, "contact_map", np.zeros((len(self.contact_step), 0)))
+        if not len(self.force_discrepancy):
+            object.__setattr__(self, "force_discrepancy", np.zeros(len(self.force_step)))
 
     @property
     def dt(self) -> FloatArray:
@@ -89,6 +92,11 @@ class Record:
     def force_t(self) -> FloatArray:
         """Time of each force reading (s)."""
         return self.t[self.force_step] + self.force_offset
+
+    @property
+    def total_force_variance(self) -> FloatArray:
+        """Variance of each force reading about the model's (N²)."""
+        return self.force_variance + self.force_discrepancy
 
     @property
     def readings(self) -> int:
@@ -115,7 +123,7 @@ class Record:
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
             self.gap_steps[(self.gap_steps >= first) & (self.gap_steps < last)] - first,
-            self.discrepancy[first : last + 1], self.contact_map[c],
+            self.discrepancy[first : last + 1], self.contact_map[c], self.force_discrepancy[f],
         )  # fmt: skip
 
     @property

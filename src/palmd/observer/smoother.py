@@ -166,12 +166,13 @@ class Smoother(Residuals):
         return self.record.with_contact_forces(self.contact_forces(guess))
 
     def with_discrepancy(self, guess: Guess, hopping_only: bool = False) -> Record:
-        """The record with the friction law's uncertainty at `guess` as process noise.
+        """The record with the friction law's uncertainty at `guess` as process noise and as noise of the forces.
 
         hopping_only: only in steps in which contacts hop. Without it, the least cost over motions and constants is that
         of an object so heavy that only the uncertainty of steps turns it; only prior knowledge contradicts that.
         """
-        return replace(self.record, discrepancy=self.discrepancy(guess, hopping_only))
+        discrepancy, force_discrepancy = self.discrepancy(guess, hopping_only)
+        return replace(self.record, discrepancy=discrepancy, force_discrepancy=force_discrepancy)
 
     def linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
         """The normal equations at `guess`, with prior knowledge; the cost is infinite where they are invalid."""

@@ -34,6 +34,9 @@ ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way 
 MASS_SD = 0.1  # relative, of what a frictionless object of these forces would have
 CONTACT_SD, FORCE_SD = 3e-5, 0.02  # m and relative: what the filters leave out
 UNDERWEIGHTED = 0.2  # of what a filter is unsure of a reading, as noise besides: it is linearised far from the answer
+DITHERED_S = 2 * DECISION_STEPS * STEP_S
+"""Time between two reversals of ω2, below which the palm that changes with each of them is not found (derivation: two
+decisions). A plan's dither of 10 Hz turns the palms to and fro while they would else stand."""
 LOST = 1.0  # in ln mass and in ln radius, from where filters begin: beyond, one has diverged
 MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does there
 HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
@@ -115,12 +118,34 @@ def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence
     return FilterStart(x, covariance, np.array([_wandering(std) for std in gain_stds]))
 
 
+def dithered(record: Record) -> FloatArray:
+    """Times (s) of reversals of ω2 that follow each other within `DITHERED_S`.
+
+    With each the direction of slip changes, and with it the stuck palm may, which differs from what slow motion asks.
+    """
+    opening = np.sign(record.palms[:, len(JOINTS) + OPENING])
+    reversals = record.t[np.flatnonzero(np.diff(opening)) + 1]
+    quick = np.diff(reversals) < DITHERED_S
+    times: FloatArray = reversals[np.append(quick, False) | np.append(False, quick)]
+    return times
+
+
+def without_dithered_forces(record: Record) -> Record:
+    """The record in which forces between such reversals do not count."""
+    reversals, t = dithered(record), record.force_t
+    after = np.searchsorted(reversals, t)
+    within = (after > 0) & (after < len(reversals))
+    at = np.clip(after, 1, max(len(reversals) - 1, 1))
+    between = np.diff(reversals, prepend=0.0)[at] < DITHERED_S if len(reversals) > 1 else np.zeros(len(t), np.bool_)
+    return replace(record, force_weight=record.force_weight * ~(within & between))
+
+
 def stuck_guess(record: Record, start: FilterStart) -> StuckGuess | float:
     """The likeliest guess; or until when (s) the readings are explained, where no sequence of stuck palms explains all.
 
     Of the rig, the palms' standoffs are estimated with the object; the rest is taken as described.
     """
-    pull = _pull(record, float(start.x[SHAPE.start]))
+    pull, reversals = _pull(record, float(start.x[SHAPE.start])), dithered(record)
     filters = _initial_filters(start)
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
@@ -138,6 +163,7 @@ def stuck_guess(record: Record, start: FilterStart) -> StuckGuess | float:
         filters = _rolled(filters, record.palms[step_start], record.palms[step_end])
         filters.covariance[:, MASS_INDICES, MASS_INDICES] += start.wanders
         part = record.between(step_start, step_end)
+        filters.covariance[:, 0, 0] += TURN_SD**2 * np.ptp(np.searchsorted(reversals, part.t[[0, -1]]))
         readings += part.readings
         if part.readings:
             filters = _learned(filters, part, before, (pull[0][step_start:step_end], pull[1][step_start:step_end]))

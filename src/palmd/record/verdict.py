@@ -29,7 +29,7 @@ def verdict(explained: bool, touched: Marks | None, reason: Reason) -> dict[str,
             f"only {coverage:.1%} of the normals were touched, and the estimate holds for these; at least"
             f" {MIN_COVERAGE:.0%} are needed: move the palms so that the object rolls farther",
         )
-    why = {"reason": reason.text or None, "reason_code": reason.code or None}
+    why = {"reason": reason or None, "reason_code": reason.code or None}
     return {"verdict": found, "converged": found == ACCEPTED, "coverage": coverage, **why}
 
 

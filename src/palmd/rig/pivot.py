@@ -135,13 +135,14 @@ class Slide:
     psi: float
     omega: float = 0.0
 
-    def advance(self, before: Axis, now: Axis, step_s: float) -> float:
+    def advance(self, before: Axis, now: Axis, step_s: float, middle: Axis | None = None) -> float:
         """Advance by a step (s) in which the arm moves along the pad from `before` to `now`; returns the force (N).
 
-        One step of the fourth-order Runge–Kutta method. NaN if the body tumbles.
+        One step of the fourth-order Runge–Kutta method; `middle`: motion at half the step, by default the mean of both
+        ends. NaN if the body tumbles.
         """
         grasp, h, psi, omega = self.grasp, step_s, self.psi, self.omega
-        middle = (0.5 * (before[0] + now[0]), 0.5 * (before[1] + now[1]), 0.5 * (before[2] + now[2]))
+        middle = middle or (0.5 * (before[0] + now[0]), 0.5 * (before[1] + now[1]), 0.5 * (before[2] + now[2]))
         a1, _ = grasp.motion(psi, omega, before)
         w2 = omega + 0.5 * h * a1
         a2, _ = grasp.motion(psi + 0.5 * h * omega, w2, middle)

@@ -5,7 +5,6 @@ Programs need codes that stay when the words improve; what finds a reason makes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, Self
 
@@ -63,15 +62,21 @@ class Code(StrEnum):
     NO_ANSWER = "no-answer", "no reason is available"
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """A reason: its code, and a sentence with the values; without both it is false and means that there is none."""
+class Reason(str):
+    """A reason in words with the values, with its code; empty, and false, if there is none."""
 
-    code: Code | Literal[""] = ""
-    text: str = ""
+    __slots__ = ("code",)
+    code: Code | Literal[""]
 
-    def __bool__(self) -> bool:
-        return bool(self.code)
+    def __new__(cls, code: Code | Literal[""] = "", text: str = "") -> Self:
+        """A reason with its code, in words."""
+        reason = str.__new__(cls, text)
+        reason.code = code
+        return reason
+
+    def __getnewargs__(self) -> tuple[Code | Literal[""], str]:  # type: ignore[override]
+        """The arguments of `__new__`, for copies and for other processes."""
+        return self.code, str(self)
 
 
 NO_REASON = Reason()

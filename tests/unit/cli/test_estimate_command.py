@@ -17,7 +17,7 @@ from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import replay, texts, tick_count, tick_fields
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 SECONDS = 3.0
 
@@ -28,7 +28,7 @@ def estimate_at(t, **changes):
     return Estimate(**values | changes)
 
 
-class Spy(SilentObserver):
+class Spy(EmptyObserver):
     """An observer that only records which events precede each estimate."""
 
     def __init__(self):

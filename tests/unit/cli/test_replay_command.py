@@ -65,27 +65,16 @@ def tick_count():
     return sum(topic == EVENTS.name for topic, _ in rig_recording.published())
 
 
-def answers(path):
-    return list(Recheck(read_run(path)).ticks())
-
-
-def test_the_observer_gives_bit_identical_estimates_again():
-    ticks = answers(rig_recording.path())
-    events = [fields for topic, fields in rig_recording.published() if topic == EVENTS.name]
-    assert [tick.number for tick in ticks] == list(range(len(events)))
-    assert not any(tick.differences for tick in ticks)
-    estimates = [fields for topic, fields in rig_recording.published() if topic == ESTIMATE.name]
-    assert any(fields["valid"] for fields in estimates)  # otherwise the comparison is empty
-    assert any(topic == IMPROVEMENT.name for topic, _ in rig_recording.published())
-
-
 def test_without_the_smoothers_messages_the_estimates_differ(tmp_path):
     path = rewritten(tmp_path / "a.mcap", without(IMPROVEMENT.name))
-    assert any(tick.differences for tick in answers(path))
+    assert any(tick.differences for tick in Recheck(read_run(path)).ticks())
 
 
 def test_check_reports_agreement(capsys):
     count = tick_count()
+    estimates = [fields for topic, fields in rig_recording.published() if topic == ESTIMATE.name]
+    assert any(fields["valid"] for fields in estimates)  # otherwise the comparison is empty
+    assert any(topic == IMPROVEMENT.name for topic, _ in rig_recording.published())
     assert main(["replay", str(rig_recording.path()), "--check"]) == 0
     out, err = capsys.readouterr()
     first, second = out.splitlines()
@@ -108,11 +97,13 @@ def without_granted(command):
     return change
 
 
-@pytest.mark.parametrize(
-    ("command", "rule"), [("arm", "from ready to tracking without a granted arm"), ("start", "without a granted start")]
-)
-def test_a_transition_without_its_command_breaks_a_rule(tmp_path, capsys, command, rule):
-    path = rewritten(tmp_path / "a.mcap", without_granted(command))
+def test_a_transition_without_its_command_breaks_a_rule(tmp_path, capsys):
+    for command, rule in (
+        ("arm", "ready to tracking without a granted arm"),
+        ("start", "without a granted start"),
+    ):
+        path = rewritten(tmp_path / f"{command}.mcap", without_granted(command))
+        assert any(rule in each for each in check_run(read_run(path)).broken)
     assert main(["replay", str(path), "--check"]) == 1
     assert rule in capsys.readouterr().out
 
@@ -149,7 +140,7 @@ def test_a_difference_is_given_in_standard_deviations():
 
 
 def test_other_versions_are_reported(tmp_path, capsys):
-    path = rewritten(tmp_path / "a.mcap", numpy="1.0", machine="abacus")
+    path = rewritten(tmp_path / "a.mcap", without(EVENTS.name, *range(30, tick_count())), numpy="1.0", machine="abacus")
     assert main(["replay", str(path), "--check"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(": ")[1].split(",")[0] for line in lines] == [

@@ -73,8 +73,7 @@ def test_moving_commands_overtaken_by_a_stop_are_refused():
 
 
 REQUESTS = st.lists(
-    st.tuples(st.sampled_from(sorted(COMMANDS)), st.sampled_from(["owner", "a", "b", "c"]), st.booleans()),
-    max_size=150,
+    st.tuples(st.sampled_from(sorted(COMMANDS)), st.sampled_from(["owner", "a", "b", "c"]), st.booleans()), max_size=150
 )
 
 

@@ -10,13 +10,7 @@ from waiting import wait
 
 from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
-from palmd.daemon.bus import (
-    FRAMES_PER_TICK,
-    MAX_FRAMES,
-    PUBLISH_HIGH_WATER,
-    Bus,
-    BusError,
-)
+from palmd.daemon.bus import FRAMES_PER_TICK, MAX_FRAMES, PUBLISH_HIGH_WATER, Bus, BusError
 from palmd.daemon.command_queue import MAX_WAITING, PER_TICK
 from palmd.daemon.commands import Reply
 from palmd.daemon.ownership import NOBODY_KEY
@@ -98,8 +92,7 @@ def test_a_client_is_named_by_what_it_sends_or_by_its_address(rig):
 
 
 @pytest.mark.parametrize(
-    "frames",
-    [[b""], [b"junk"], [b"", b"", b""], [call(cmd="arm"), b"more"], [b"", call(id=9, cmd="fly")]],
+    "frames", [[b""], [b"junk"], [b"", b"", b""], [call(cmd="arm"), b"more"], [b"", call(id=9, cmd="fly")]]
 )
 def test_a_malformed_request_is_answered_and_not_passed_on(rig, frames):
     client = rig.client(zmq.DEALER, rig.command)

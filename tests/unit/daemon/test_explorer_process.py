@@ -39,8 +39,9 @@ def question(t: float) -> Question:
     return Question(t, TASK, None, UnderWay(Move(HERE, HERE, 0.0), 1.0))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def process() -> Iterator[ExplorerProcess]:
+    """One process for several tests, because its start takes seconds of the processor."""
     process = ExplorerProcess(RIG)
     process.prepare()
     yield process
@@ -64,7 +65,6 @@ def test_the_process_decides_as_the_decider_does(process: ExplorerProcess) -> No
     wanted = Decider(RIG).answer(question(got.t))
     assert (got.run, got.after, got.object_count) == (wanted.run, wanted.after, wanted.object_count)
     assert (got.decision.kind, got.decision.move) == (wanted.decision.kind, wanted.decision.move)
-    assert got.decision.move is not None
     assert got.decision.move.start == HERE
 
 
@@ -91,11 +91,8 @@ def test_the_process_starts_once_and_only_when_needed() -> None:
     process.close()
 
 
-def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(
-    process: ExplorerProcess,
-) -> None:
+def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(process: ExplorerProcess) -> None:
     wait_for(process)
-    assert process._process is not None
     number = process._process._process.pid
     os.kill(number, signal.SIGSTOP)
     begun = time.monotonic()
@@ -122,14 +119,13 @@ def test_a_stopped_process_never_blocks_and_then_answers_the_newest_question(
 def test_a_killed_process_is_restarted_with_its_task(process: ExplorerProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     wait_for(process)
     monkeypatch.setattr(worker, "RESTART_S", 0.0)
-    assert process._process is not None
     process._process._process.kill()
     process._process._process.wait()
-    begun = time.monotonic()
-    while process.starts < 2 and time.monotonic() - begun < PATIENCE_S:
+    starts, begun = process.starts, time.monotonic()
+    while process.starts == starts and time.monotonic() - begun < PATIENCE_S:
         process.tend(time.monotonic())
         time.sleep(0.01)
-    assert process.starts == 2
+    assert process.starts == starts + 1
     assert wait_for(process).run == TASK.run
 
 
@@ -146,14 +142,13 @@ def test_a_process_that_cannot_be_started_gives_no_answer(monkeypatch: pytest.Mo
 def test_closing_ends_the_process_at_once() -> None:
     process = ExplorerProcess(RIG)
     process.prepare()
-    assert process._process is not None
     folder = Path(process._process._folder.name)
     process.close()
     assert process._process._process.poll() is not None
     assert not folder.exists()
 
 
-@pytest.mark.parametrize("length", [83, 84, 200])
+@pytest.mark.parametrize("length", [83, 84])
 def test_the_socket_works_with_a_long_path_of_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
 ) -> None:
@@ -164,7 +159,6 @@ def test_the_socket_works_with_a_long_path_of_temporary_files(
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
         process = ExplorerProcess(RIG)
         process.prepare()
-        assert process._process is not None
         own = Path(process._process._folder.name)
         assert own.is_relative_to(folder) == (length <= 83)
         assert own.stat().st_mode & 0o077 == 0
@@ -187,6 +181,4 @@ def test_another_system_uses_its_own_decider() -> None:
             answer = process.collect(1.0)
     finally:
         process.close()
-    assert answer is not None
-    assert answer.decision.move is not None
     assert len(answer.decision.move.end) == 3

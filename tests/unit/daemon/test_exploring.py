@@ -109,7 +109,6 @@ class Stage:
 
     def start(self) -> None:
         here = self.setpoints.commanded
-        assert here is not None
         self.setpoints.start(compile_plan(self.spec, LIMITS, here.angles))
 
     @property
@@ -138,7 +137,6 @@ class Stage:
 
     def reason(self) -> str:
         status = self.exploring.summary()
-        assert status is not None
         return str(status["reason"])
 
 
@@ -162,7 +160,6 @@ def test_moves_follow_each_other_without_rest_and_without_jumps() -> None:
     assert stage.setpoints.interventions == 0
     assert stage.exploring.summary() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
     place = stage.setpoints.place
-    assert place is not None
     assert place.progress == 0.5
     assert stage.exploring.explored.running
     assert stage.exploring.explored.seconds == pytest.approx(8.0, abs=0.1)
@@ -297,7 +294,6 @@ def test_a_slow_explorer_is_asked_earlier_and_followed() -> None:
 def test_a_decision_gives_two_moves_if_the_palms_would_otherwise_stop() -> None:
     def two(question: Question) -> Decision:
         first = onwards(question).move
-        assert first is not None
         return Decision("move", first, then=Move(first.end, first.start, 0.8))
 
     slow, quick = Stage(two), Stage(two)
@@ -491,7 +487,6 @@ def test_a_sticking_object_is_made_to_slip_unless_the_smoother_has_confirmed_the
         answer = decider.answer(asked(stage, belief, (0.02, 0.02)))
         assert answer.decision.blind
         assert "sticks" in answer.decision.reason
-        assert answer.decision.move is not None
         assert answer.decision.move.start == HERE.angles
     assert decider.answer(asked(stage, guessed, (0.02, 0.02), choose=False)).decision.kind == "safe"
     answers = []
@@ -514,10 +509,8 @@ def test_an_object_with_a_corner_is_tipped_whatever_the_later_belief() -> None:
         assert decision.move == tip(HERE.angles, None, LIMITS)
         assert decider.answer(replace(question, choose=False)).decision.kind == "safe"
     first, ends = tip(HERE.angles, None, LIMITS), []
-    assert first is not None
     for here in (first.at(1.0).angles, first.end):  # stopped on its path, and arrived
         decision = decider.answer(replace(question, under_way=UnderWay(Move(here, here, 0.0), 9.0))).decision
-        assert decision.move is not None
         ends.append(decision.move.end)
     assert ends[0] == first.end != ends[1]
     other = replace(asked(stage, None, None), task=replace(question.task, run=2))
@@ -568,7 +561,6 @@ def test_an_explorer_without_a_process_answers_a_fixed_time_after_the_question()
     inline.ask(Question(5.1, task, None, first.under_way))  # while it is busy
     assert inline.collect(5.29) is None
     answer = inline.collect(5.3)
-    assert answer is not None
     assert (answer.t, answer.run, answer.after, answer.object_count) == (5.0, 1, first.under_way.move, None)
     assert answer.decision.kind == "move"
     assert inline.collect(9.0) is None

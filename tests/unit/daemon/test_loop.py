@@ -27,7 +27,7 @@ from palmd.messages import info_fields
 from palmd.rig.world import default_config
 from palmd.topics import TOPICS
 from tools.published import validate
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 PERIOD = 0.01
 
@@ -63,7 +63,7 @@ class Wires:
             "pad2": Port("pad2", str(folder / "pad2"), 9600, retry_s=0.05),
             "arm": Port("arm", str(folder / "arm"), 38400, retry_s=0.05),
         }
-        self.observer = SilentObserver()
+        self.observer = EmptyObserver()
         self.aside = ThreadPoolExecutor(1)
         self.bus = Bus(f"ipc://{folder}/p", f"ipc://{folder}/c")
         self.core = Core(config, self.observer, self.aside)

@@ -28,11 +28,7 @@ def test_start_up_status_and_end(manager):
 
 
 def test_the_watchdog_is_notified_four_times_per_timeout(manager):
-    environment = {
-        "NOTIFY_SOCKET": manager.getsockname(),
-        "WATCHDOG_USEC": "200000",
-        "WATCHDOG_PID": str(os.getpid()),
-    }
+    environment = {"NOTIFY_SOCKET": manager.getsockname(), "WATCHDOG_USEC": "200000", "WATCHDOG_PID": str(os.getpid())}
     notifier = Notifier(environment)
     for i in range(19):
         notifier.healthy(10.0 + i * 0.01)
@@ -49,12 +45,7 @@ def test_the_watchdog_is_notified_four_times_per_timeout(manager):
 
 
 @pytest.mark.parametrize(
-    "environment",
-    [
-        {},
-        {"NOTIFY_SOCKET": "/no/such/socket"},
-        {"NOTIFY_SOCKET": "nonsense", "WATCHDOG_USEC": "soon"},
-    ],
+    "environment", [{}, {"NOTIFY_SOCKET": "/no/such/socket"}, {"NOTIFY_SOCKET": "nonsense", "WATCHDOG_USEC": "soon"}]
 )
 def test_without_a_service_manager_nothing_is_sent(environment):
     notifier = Notifier(environment)

@@ -328,7 +328,6 @@ def test_a_refused_start_gives_the_reason(bench: Bench) -> None:
     bench.run(0.2)
     assert not bench.host.tracking
     assert not bench.host.busy
-    assert bench.host.refusal is not None
     assert "start refused: -0622 arm power is off" in bench.host.refusal
     assert bench.host.last_error == -622
     assert len(bench.controller.commands(Start)) == 1
@@ -346,7 +345,6 @@ def test_a_line_too_slow_for_the_cycle_is_refused() -> None:
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
     host.request_tracking()
-    assert host.refusal is not None
     assert "29.2 ms at 9600 baud, longer than the controller's cycle of 16 ms" in host.refusal
 
 

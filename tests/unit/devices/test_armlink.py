@@ -49,10 +49,7 @@ COMMANDS: list[tuple[Command, str]] = [
     (Reset(1), "R01"),
 ]
 REPLIES: list[tuple[Reply, str]] = [
-    (
-        HelloReply(0.016, -0.6, 0.65, -0.5, 0.55, 1.0, 10.0),
-        "H1,16,-600000,650000,-500000,550000,1000000,10000000",
-    ),
+    (HelloReply(0.016, -0.6, 0.65, -0.5, 0.55, 1.0, 10.0), "H1,16,-600000,650000,-500000,550000,1000000,10000000"),
     (Ack(10, ArmState.TRACKING, POSE), "A0AT" + POSE_WIRE),
     (Refusal(10, -600), "E0A-0600"),
 ]

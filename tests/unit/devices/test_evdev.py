@@ -133,18 +133,6 @@ def test_a_contact_that_exists_at_opening_is_read_once():
     assert driver.touching
 
 
-def test_after_an_overflow_the_state_is_read_again():
-    driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
-    driver.tend(device, 0.0)
-    driver.poll(1.0)
-    driver.feed(encode([DROPPED, SYN], 1.1), 1.1)
-    device.state = encode([UP, x(200), SYN], 1.1)
-    driver.tend(device, 0.0)
-    driver.poll(1.1)
-    assert device.asked == 2
-    assert not driver.touching
-
-
 def test_the_first_of_two_fingers_counts_until_it_leaves():
     reader = EvdevReader()
     first = [mt(0x2F, 0), mt(0x39, 40), mt(0x35, 100), mt(0x36, 5)]

@@ -5,7 +5,6 @@ import pytest
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader, encode
 from palmd.devices.pad import make_pad
-from palmd.events import PadLift
 
 SYN, MT, DROPPED = (0, 0, 0), (0, 2, 0), (0, 3, 0)
 SLOT, X, Y, TOOL, ID, PRESSURE, DISTANCE = 0x2F, 0x35, 0x36, 0x37, 0x39, 0x3A, 0x3B
@@ -42,10 +41,7 @@ PACKETS = {
     "ids, empty packet": ([packet(500, 3, a(ID, 0)), packet(501, 3, a(ID, 0)), [MT]], [500, 501, "lift"]),
     "no ids, empty packet": ([packet(500, 3), packet(501, 3), [MT]], [500, 501, "lift"]),
     "BTN_TOUCH 0 and no packet": ([[*packet(500, 3), touch(1)], packet(501, 3), [touch(0)]], [500, 501, "lift"]),
-    "pressure 0 and no packet": (
-        [[*packet(500, 3), a(ABS_PRESSURE, 9)], [a(ABS_PRESSURE, 0)]],
-        [500, "lift"],
-    ),
+    "pressure 0 and no packet": ([[*packet(500, 3), a(ABS_PRESSURE, 9)], [a(ABS_PRESSURE, 0)]], [500, "lift"]),
     "BTN_TOUCH 0 and an empty packet": ([[*packet(500, 3), touch(1)], [touch(0), MT]], [500, "lift"]),
     "a button alone ends no contact": ([packet(500, 3), [(1, 0x110, 1)], packet(510, 3)], [500, 500, 510]),
     "the last SYN_MT_REPORT left out": ([packet(500, 3), [a(X, 505), a(Y, 3)], [MT]], [500, 505, "lift"]),
@@ -149,14 +145,6 @@ def test_while_a_state_read_is_pending_older_events_are_not_reported():
     assert not reader.wants_state
     (report,) = reader.feed(encode([a(ID, -1), SYN], 1.12), 1.12)
     assert report.x_counts == 512, "the other one has left, its slot was the current one"
-
-
-def test_a_coordinate_not_sent_since_the_overflow_comes_from_the_state():
-    driver = make_pad(1, EvdevConfig(kind="evdev", port="a", axis="y", counts_per_mm=10.0, length_mm=300.0))
-    driver.opened(0.0)
-    driver.feed(encode([*slot(0, 7, 500, 1300), SYN], 1.0), 1.0)
-    assert driver.feed(encode([DROPPED, SYN, a(SLOT, 0), a(X, 520), SYN], 1.1), 1.1) == []
-    assert not any(not isinstance(each, PadLift) for each in driver.poll(1.11)), "its position is unknown"
 
 
 def test_a_bounding_box_of_two_contacts_is_no_position():

@@ -12,7 +12,7 @@ from palmd.devices import evdevport
 from palmd.devices.evdevport import EvdevPort, query_device
 from palmd.devices.pad import inspect_pad, make_pad
 from palmd.devices.touchunits import contradictions, with_reported_units
-from palmd.events import PadLift, PadSample
+from palmd.events import PadLift
 
 SLOTTED = {
     kt.SLOT: (0, 0, 4, 0), kt.MT_X: (0, 0, 3000, 20), kt.MT_Y: (0, 0, 2000, 20), kt.ID: (0, 0, 65535, 0),
@@ -174,30 +174,21 @@ def test_a_protocol_a_device_keeps_its_contact_if_its_state_reports_a_touch(devi
     assert in_mm(pad.tick(kt.events((0, 3, 0)))) == ["lift"]
 
 
-def test_units_are_taken_from_the_device(device):
-    _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 4000, 2)}, keys={kt.TOUCH})
-    pad = Pad(path, end)
+@pytest.mark.parametrize(
+    ("pressure", "config", "s_m", "force_n"),
+    [
+        ((0, 0, 4000, 2), {}, 0.025, 100 * 9.80665e-3),  # 20 units/mm, 100 g
+        ((0, 0, 4000, 2), {"counts_per_mm": 25.0, "newtons_per_count": 0.01}, 0.020, 2.0),
+        ((0, 0, 255, 0), {}, 0.025, None),
+    ],
+    ids=["of the device", "overridden by the configuration", "a pressure of unknown unit is no force"],
+)
+def test_units(device, pressure, config, s_m, force_n):
+    _, path, end = device(axes=SINGLE | {kt.PRESSURE: pressure}, keys={kt.TOUCH})
+    pad = Pad(path, end, **config)
     pad.tick()
     (sample,) = pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), a(kt.PRESSURE, 200), (1, kt.TOUCH, 1)))
-    assert sample.s == pytest.approx(0.025), "20 units/mm"
-    assert sample.force == pytest.approx(100 * 9.80665e-3), "100 g"
-
-
-def test_the_configuration_overrides_the_devices_units(device):
-    _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 4000, 2)}, keys={kt.TOUCH})
-    pad = Pad(path, end, counts_per_mm=25.0, newtons_per_count=0.01)
-    pad.tick()
-    (sample,) = pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), a(kt.PRESSURE, 200), (1, kt.TOUCH, 1)))
-    assert (sample.s, sample.force) == (pytest.approx(0.020), pytest.approx(2.0))
-
-
-def test_a_pressure_of_unknown_unit_is_no_force(device):
-    _, path, end = device(axes=SINGLE | {kt.PRESSURE: (0, 0, 255, 0)}, keys={kt.TOUCH})
-    pad = Pad(path, end)
-    pad.tick()
-    (sample,) = pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), a(kt.PRESSURE, 200), (1, kt.TOUCH, 1)))
-    assert isinstance(sample, PadSample)
-    assert sample.force is None
+    assert (sample.s, sample.force) == (pytest.approx(s_m), force_n and pytest.approx(force_n))
 
 
 def test_a_position_of_unknown_unit_is_reported_as_a_problem(device):

@@ -156,7 +156,6 @@ def test_an_unplugged_port_is_closed_at_once_and_reports_it(far: FarEnd, port: P
     far.unplug()
     port.read() if discovery == "read" else port.write(b"Q00*00\n")
     assert not port.is_open
-    assert port.error is not None
     assert "was lost" in port.error
     assert port.counters.losses == 1
     assert port.read() == b""
@@ -179,7 +178,6 @@ def test_a_replugged_port_returns_at_the_same_path(far: FarEnd, port: Port) -> N
     far.unplug()
     port.read()
     assert not port.poll_open(1.0)
-    assert port.error is not None
     assert "no such port" in port.error
     far.plug()
     assert not port.poll_open(1.4), "retried too soon"
@@ -223,7 +221,6 @@ def test_a_missing_port_is_reported(tmp_path: Path) -> None:
 def test_a_port_held_by_another_process_is_reported(far: FarEnd, port: Port) -> None:
     rival = Port("rival", str(far.path), 9600)
     assert not rival.poll_open(0.0)
-    assert rival.error is not None
     assert "is held by another process" in rival.error
     port.close()
     assert rival.poll_open(1.0), rival.error
@@ -235,7 +232,6 @@ def test_a_port_locked_by_another_program_is_reported(far: FarEnd) -> None:
         fcntl.flock(stranger, fcntl.LOCK_EX)
         port = Port("pad1", str(far.path), 9600)
         assert not port.poll_open(0.0)
-        assert port.error is not None
         assert "is held by another process" in port.error
 
 
@@ -245,7 +241,6 @@ def test_a_file_that_is_no_serial_port_is_reported(tmp_path: Path, kind: str) ->
     path.touch() if kind == "file" else path.mkdir()
     port = Port("pad1", str(path), 9600)
     assert not port.poll_open(0.0)
-    assert port.error is not None
     assert "cannot be used as a serial port" in port.error
 
 
@@ -349,7 +344,6 @@ def test_different_answers_are_an_error() -> None:
     shake.step(1.0, b"VP54321\r")
     assert shake.done
     assert shake.identity is None
-    assert shake.error is not None
     assert "two different identities" in shake.error
 
 
@@ -360,6 +354,5 @@ def test_a_mute_pad_times_out() -> None:
     assert not shake.done
     assert not shake.step(BREAK_S + ANSWER_S, b"")
     assert shake.done
-    assert shake.error is not None
     assert "no identity" in shake.error
     assert shake.step(9.0, b"VP1234\r") is False

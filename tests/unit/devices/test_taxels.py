@@ -165,7 +165,7 @@ def test_a_saturated_taxel_bounds_the_force_from_below():
     assert sample.at_least < 5.0
 
 
-@pytest.mark.parametrize("ratio", [0.3, 0.4, 0.5, 0.7])
+@pytest.mark.parametrize("ratio", [0.3, *(pytest.param(r, marks=pytest.mark.nightly) for r in (0.4, 0.5)), 0.7])
 @pytest.mark.parametrize("kind", ["text", "st0001"])
 def test_the_sd_of_a_position_is_its_error_over_many_skins(kind, ratio):
     """The emulated skins have another profile than the host assumes, and various widths."""

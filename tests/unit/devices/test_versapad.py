@@ -208,7 +208,6 @@ def test_counts_become_metres_and_newtons() -> None:
 
 def test_axis_and_sign() -> None:
     got = sampled(pad(axis="y", sign=-1), 99, -100)
-    assert got is not None
     assert got.s == pytest.approx(0.028 + 0.1 / 7.874)
 
 
@@ -223,14 +222,12 @@ def test_readings_off_the_pad_are_counted_and_are_no_contacts() -> None:
 def test_a_pad_that_reads_both_coordinates_reports_the_position_across() -> None:
     driver = make_pad(1, PlanePadConfig(port="a", counts_per_mm=10.0, length_mm=75.0, across_sign=-1))
     got = sampled(driver, 0, 100)
-    assert got is not None
     assert got.across == pytest.approx(0.0275) == driver.view(1.0).across
     assert sampled(driver, 0, 390) is None, "beyond its edge"
 
 
 def test_saturated_pressure_is_no_force() -> None:
     got = sampled(pad(), 0, pressure=127)
-    assert got is not None
     assert (got.force, got.at_least) == (None, pytest.approx(2.54))
 
 
@@ -282,7 +279,6 @@ def test_silence_of_five_mean_intervals_gives_one_lift() -> None:
     assert touch.mean_interval_s == pytest.approx(0.012, rel=1e-3)
     assert touch.poll(t_last + 0.0599) is None
     lift = touch.poll(t_last + 0.0601)
-    assert lift is not None
     assert lift.t_sample == pytest.approx(t_last + 0.060, abs=1e-4)
     assert touch.poll(t_last + 1.0) is None
 

@@ -13,7 +13,7 @@ from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config
 from tools.closed_loop import ThreePalmsLoop
-from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage, remarks
+from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
 ANSWER_S, SECONDS = 2.2, 6.5
@@ -89,7 +89,7 @@ def test_a_row_reports_coverage_and_losses():
         5, 60.0, "explore", settled=8.0, converged_after=9.0, valid=0.9, surface_error=2e-5, ratio=0.5,
         coverage=(0.4, 0.6, 0.85), published=0.8, losses=1, recovered=1, back_s=9.5,
     )  # fmt: skip
-    lines = list(remarks([row]))
+    lines = LIVE.remarks([row])
     assert "fell off 1 times, 1 times valid again after 9.5 s" in lines[0]
     assert lines[1] == "       5: touched 40% after 20 s, 60% after 40 s, 85% after 60 s, published 80%"
     assert LIVE.tabled([row]).split()[-3:] == ["1", "85", "1"]

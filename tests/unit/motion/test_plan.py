@@ -83,9 +83,7 @@ def test_rounds_without_a_first_move_continue_from_their_end() -> None:
 
 def test_a_plan_that_repeats_forever_is_endless_and_periodic() -> None:
     trajectory = made(
-        HOME_MOVE,
-        {"sine": {"phi1_deg": 18, "phi2_deg": 8}, "frequency_hz": 0.5, "duration_s": 10},
-        repeat="forever",
+        HOME_MOVE, {"sine": {"phi1_deg": 18, "phi2_deg": 8}, "frequency_hz": 0.5, "duration_s": 10}, repeat="forever"
     )
     assert math.isinf(trajectory.duration)
     for tau in (11.0, 13.7, 20.0):
@@ -122,20 +120,14 @@ def test_dither_is_added_to_the_whole_plan_and_begins_and_ends_at_rest() -> None
 @pytest.mark.parametrize(
     ("segment", "message"),
     [
-        (
-            {"move": {"phi1_deg": 163, "phi2_deg": 35}, "duration_s": 9},
-            "phi1 reaches 163°, the limit is 150°",
-        ),
+        ({"move": {"phi1_deg": 163, "phi2_deg": 35}, "duration_s": 9}, "phi1 reaches 163°, the limit is 150°"),
         ({"move": {"phi1_deg": 3}, "duration_s": 9}, "phi1 falls to 3°, the limit is 6°"),
         ({"move": {"phi1_deg": 82}, "duration_s": 9}, "phi12 = phi1 + phi2 reaches 172°, it must stay below 172°"),
         (
             {"move": {"phi1_deg": 75}, "duration_s": 0.4},
             "the rate of phi1 reaches 140.625°/s, the limit is 120°/s; duration_s must be 0.47 or more",
         ),
-        (
-            {"move": {"phi1_deg": 55}, "duration_s": 0.25},
-            "the acceleration of phi1 reaches 923.7",
-        ),
+        ({"move": {"phi1_deg": 55}, "duration_s": 0.25}, "the acceleration of phi1 reaches 923.7"),
         (
             {"rate": {"phi1_deg_s": 130}, "until": {"phi1_deg": 80.5}},
             "no room to speed up to 130°/s and slow down again",
@@ -144,23 +136,11 @@ def test_dither_is_added_to_the_whole_plan_and_begins_and_ends_at_rest() -> None
             {"rate": {"phi1_deg_s": -20}, "until": {"phi1_deg": 55}},
             "phi1 turns at -20°/s and never reaches 55°: it starts at 45°",
         ),
-        (
-            {"rate": {"phi1_deg_s": 20}, "until": {"phi2_deg": 95}},
-            "phi2 turns at 0°/s and never reaches 95°",
-        ),
+        ({"rate": {"phi1_deg_s": 20}, "until": {"phi2_deg": 95}}, "phi2 turns at 0°/s and never reaches 95°"),
         ({"rate": {"phi1_deg_s": 0.001}, "until": {"phi1_deg": 55}}, "takes 1e+04 s, more than 3600 s"),
-        (
-            {"sine": {"phi1_deg": 40}, "frequency_hz": 0.1, "duration_s": 60},
-            "phi1 falls to 5°, the limit is 6°",
-        ),
-        (
-            {"sine": {"phi2_deg": 20}, "frequency_hz": 1.2, "duration_s": 9},
-            "the acceleration of phi2 reaches 1263",
-        ),
-        (
-            {"sine": {"phi2_deg": 20}, "frequency_hz": 0.5, "duration_s": 0.2},
-            "the acceleration of phi2 reaches",
-        ),
+        ({"sine": {"phi1_deg": 40}, "frequency_hz": 0.1, "duration_s": 60}, "phi1 falls to 5°, the limit is 6°"),
+        ({"sine": {"phi2_deg": 20}, "frequency_hz": 1.2, "duration_s": 9}, "the acceleration of phi2 reaches 1263"),
+        ({"sine": {"phi2_deg": 20}, "frequency_hz": 0.5, "duration_s": 0.2}, "the acceleration of phi2 reaches"),
     ],
 )
 def test_refusals_name_segment_value_and_limit(segment: dict[str, Any], message: str) -> None:

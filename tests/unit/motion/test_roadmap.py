@@ -41,10 +41,17 @@ def state(seed=4, kind="rig"):
 
 
 @cache
+def renewed():
+    """A roadmap, and whether it was complete before any pose was processed, after three, and after all."""
+    made, complete = Roadmap(PREDICTOR, LIMITS, state()), []
+    for poses in (0, 3, len(made.poses) - 3):
+        made.renew(state(), poses)
+        complete.append(made.complete)
+    return made, complete
+
+
 def roadmap():
-    made = Roadmap(PREDICTOR, LIMITS, state())
-    made.renew(state(), len(made.poses))
-    return made
+    return renewed()[0]
 
 
 def bins(*which):
@@ -90,12 +97,7 @@ def test_on_a_cradle_the_poses_are_equally_dense_in_the_tangents_and_none_wedges
 
 
 def test_it_is_complete_after_each_pose_has_been_processed():
-    young = Roadmap(PREDICTOR, LIMITS, state())
-    assert not young.complete
-    young.renew(state(), 3)
-    assert not young.complete
-    young.renew(state(), len(young.poses) - 3)
-    assert young.complete
+    assert renewed()[1] == [False, False, True]
 
 
 def test_without_wanted_normals_the_time_is_infinite():
@@ -199,9 +201,7 @@ def test_next_to_a_barrier_there_is_no_interpolation():
 
 
 def test_learnt_times_hold_until_they_are_forgotten():
-    made = Roadmap(PREDICTOR, LIMITS, state())
-    made.renew(state(), len(made.poses))
-    wanted = bins(*range(BINS))
+    made, wanted = roadmap(), bins(*range(BINS))
     before = made.time_to(wanted).seconds
     made.learn(made.poses[5], 0.0, 20.0)
     learnt = made.time_to(wanted).seconds

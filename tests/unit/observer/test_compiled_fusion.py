@@ -24,10 +24,7 @@ from palmd.observer.prior import GYRATION, blind_start
 from palmd.observer.rig_error import RigError
 from palmd.system.description import ROUNDING_S, PadSensor, RigDescription
 
-RIGS = {
-    "flat": RigDescription(),
-    "curved": RigDescription(pads=(PadSensor(curvature=4.0), PadSensor(curvature=-3.0))),
-}
+RIGS = {"flat": RigDescription(), "curved": RigDescription(pads=(PadSensor(curvature=4.0), PadSensor(curvature=-3.0)))}
 ROUNDING = 1e-12
 
 

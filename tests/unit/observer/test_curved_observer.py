@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign import nightly
+from curved_logs import simulate_curved_log
 from library import library
 from plain_shape_filters import corrected
 
@@ -19,6 +21,7 @@ from palmd.model.arcs import contacts_on_arcs
 from palmd.model.outputs import NAMED
 from palmd.model.smoothing import R
 from palmd.observer.coverage import NORMAL_BINS, Coverage, contact_bins
+from palmd.observer.initialiser import attempts_for
 from palmd.observer.reconstruct import most_lying, reconstruct
 from palmd.observer.rig_error import RigError
 from palmd.observer.search import Search
@@ -29,7 +32,6 @@ from palmd.score import score_outline, score_shape
 from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.reasons import Code
-from tools.studies.simulate_curved import simulate_curved_log
 
 SECONDS = 6.0
 reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # the package has a function of the same name
@@ -45,6 +47,21 @@ def cradle(tmp_path_factory):
     return path, read_log(path), truth
 
 
+@pytest.fixture(scope="module")
+def few(cradle):
+    """The events of the first seconds, what they determine, and how many blind searches that took."""
+    _, log, _ = cradle
+    events = [event for event in log.events if event.t_sample < ENOUGH_S]
+    return events, *reconstructed_and_searches(events, log.rig)
+
+
+def reconstructed_and_searches(events, rig):
+    blind, searches = Search.blind, []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Search, "blind", lambda *given: searches.append(given) or blind(*given))
+        return reconstruct(events, rig), len(searches)
+
+
 def test_a_log_of_a_cradle_is_reconstructed_from_a_blind_start(cradle):
     _, log, truth = cradle
     answer = reconstruct(log.events, log.rig)
@@ -58,60 +75,51 @@ def test_a_log_of_a_cradle_is_reconstructed_from_a_blind_start(cradle):
     assert np.sqrt(np.mean((answer.radii[0] - r1) ** 2)) < 1e-4, "evaluated at the tangents' normals"
 
 
-def test_with_flat_palms_assumed_it_is_not_accepted(cradle):
+def test_with_flat_palms_assumed_it_is_not_accepted(cradle, few):
     _, log, _ = cradle
     flat = replace(log.rig, pads=tuple(replace(pad, curvature=0.0) for pad in log.rig.pads))
-    few = [event for event in log.events if event.t_sample < ENOUGH_S]
-    assert reconstruct(few, log.rig).converged
-    assert not reconstruct(few, flat).converged
+    events, found, _ = few
+    assert found.converged
+    assert not reconstruct(events, flat).converged
 
 
-@pytest.mark.parametrize("as_described", [True, False])
-def test_a_fit_that_contradicts_the_rig_is_searched_for_again(cradle, monkeypatch, as_described):
+def test_a_fit_that_contradicts_the_rig_is_searched_for_again(cradle, few, monkeypatch):
     """Dome 2042 of `python -m tools.studies curved`: a worse minimum with a contradicted rig was accepted."""
     _, log, _ = cradle
-    refined, blind, searches = reconstruct_module._refined, Search.blind, []
-
-    def refined_as(*args):
-        found = refined(*args)
-        return replace(found, as_described=found.as_described and as_described)
-
-    def counted(*args):
-        searches.append(args)
-        return blind(*args)
-
-    monkeypatch.setattr(reconstruct_module, "_refined", refined_as)
-    monkeypatch.setattr(Search, "blind", counted)
-    answer = reconstruct(log.events, log.rig)
+    refined, (events, found, searches) = reconstruct_module._refined, few
+    assert (found.converged, searches) == (True, 1)
+    monkeypatch.setattr(reconstruct_module, "_refined", lambda *given: replace(refined(*given), as_described=False))
+    answer, searches = reconstructed_and_searches(events, log.rig)
     assert answer.converged
-    assert (len(searches) > 1) == (not as_described)
+    assert searches > 1
 
 
-def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cradle):
+@pytest.mark.parametrize("one_search", [True, *nightly(False)])
+def test_palms_described_as_far_too_concave_give_a_rejection_with_the_reason(cradle, monkeypatch, one_search):
     _, log, _ = cradle
+    if one_search:
+        monkeypatch.setattr(reconstruct_module, "attempts_on", lambda search: [(0, attempts_for(search.rig)[0])])
     strong = replace(log.rig, pads=tuple(replace(pad, curvature=2 * pad.curvature) for pad in log.rig.pads))
     answer = reconstruct([event for event in log.events if event.t_sample < 2.5], strong)
     assert not answer.converged
-    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason.text)
+    assert re.search(r"palms as concave as these \(\d\d.* 1/m\) may be too concave for it", answer.reason)
     assert answer.reason.code in (Code.UNEXPLAINED, Code.NOT_CONVERGED)
 
 
-def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle, monkeypatch):
+def test_an_object_nearly_as_flat_as_its_palm_is_rejected_with_the_reason(cradle, few, monkeypatch):
     """An object with single contacts never has this curvature, so only the test of the limit is exercised."""
     _, log, _ = cradle
     monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
-    answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
+    answer = reconstruct(few[0], log.rig)
     assert not answer.converged
-    assert re.match(
-        r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason.text
-    )
+    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason)
     assert answer.reason.code == Code.TOO_CONCAVE
 
 
 def test_the_live_observer_converges_to_the_truth(cradle):
     _, log, truth = cradle
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
-    ticks = list(replay(log, watcher))
+    ticks = list(replay(replace(log, events=[event for event in log.events if event.t_sample < 5.0]), watcher))
     last = ticks[-1].estimate
     assert last.valid
     assert last.object_count == 1

@@ -244,6 +244,7 @@ def truly_stuck(record, truth):
     return np.interp(record.t, t, np.argmin(slips, axis=0).astype(float)) > 0.5
 
 
+@pytest.mark.nightly
 def test_a_sticking_lump_is_reconstructed_from_a_blind_start(dry):
     log, truth = dry
     answer = dry_reconstruction(searched(log), 0, time.perf_counter())
@@ -310,6 +311,8 @@ def test_on_a_calibrated_rig_the_errors_are_within_the_bands(dry):
     assert score.e_h < 3.0 * sd
     assert 5e-5 < sd < 3e-4  # standoffs of 0.2 mm are partly determined
     assert answer.mu == pytest.approx(DRY.mu, abs=4.0 * answer.mu_sd)
+    assert answer.mass == pytest.approx(truth["mass_kg"], abs=4.0 * answer.mass_sd)
+    assert answer.turned_sd > 0.0
     sds = np.sqrt(np.diagonal(answer.rig_covariance))
     assert (np.abs(answer.rig) < 3.0 * sds).all()
     assert (sds <= answer.rig_prior_sd * (1.0 + 1e-6)).all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign import nightly
 from simulated import simulated
 
 from palmd.events import PadSample, PalmSample
@@ -99,7 +100,7 @@ def test_errors_of_batched_readings_match_their_sd(seed):
     assert 0.8 < math.sqrt(np.mean(z**2)) < 1.2
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("nominal", 7208), ("rig", 7201), ("friction", 7203)])
+@pytest.mark.parametrize(("kind", "seed"), [("rig", 7201), *nightly(("nominal", 7208), ("friction", 7203))])
 def test_a_run_in_batches_is_reconstructed_within_its_band(kind, seed):
     run = simulated(kind, seed, 12.0)
     pads = [[e for e in run.events if isinstance(e, PadSample) and e.pad == number] for number in (1, 2)]
@@ -134,7 +135,7 @@ def test_a_run_with_heavy_tailed_noise_is_accepted_and_accurate():
     assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 3 * band < 3e-4
 
 
-@pytest.mark.parametrize("vibration", [0.3, 0.6])
+@pytest.mark.parametrize("vibration", [0.6, *nightly(0.3)])
 def test_vibration_of_the_table_does_not_cause_a_rejection(vibration):
     """Forces scatter by a fifth more than described, or twice as much; contacts move by some micrometres."""
     run = simulated("friction", 42, 10.0, imperfections=Imperfections(vibration=vibration))

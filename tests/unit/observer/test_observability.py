@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from campaign import nightly
 from simulated import simulated, watched
 
 from palmd import observer
@@ -109,7 +110,7 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     return float(np.median(values[200:])), float(np.sqrt(np.mean(np.square(slips[100:]))))
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, *nightly(3)])
 def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
     sliding, stuck = _along(0.02, seed), _along(0.6, seed)
     assert stuck[1] < 0.03, "friction must carry the object along"

@@ -122,10 +122,7 @@ def test_the_map_has_the_covariance_of_the_error_of_place() -> None:
     wanted = A_M**2 * np.exp(-0.5 * np.subtract.outer(places, places) ** 2 / length**2)
     # the pad's zero and scale take part of it
     assert found == pytest.approx(wanted, abs=0.3 * A_M**2)
-    picked, contrast = (
-        np.ix_([5, 20, 35], [5, 20, 35]),
-        np.array([1.0, -2.0, 1.0]),
-    )  # without zero and scale
+    picked, contrast = (np.ix_([5, 20, 35], [5, 20, 35]), np.array([1.0, -2.0, 1.0]))  # without zero and scale
     missing = contrast @ (wanted - found)[picked] @ contrast
     left = mapped.contact_variance[mine].max() - PadSensor().reading_variance
     assert 0.0 <= missing <= contrast @ contrast * left

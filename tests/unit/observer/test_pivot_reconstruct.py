@@ -87,7 +87,7 @@ def refused(events, rig):
     answer = reconstruct(events, rig)
     assert not answer.converged
     assert answer.h is answer.h_sd is answer.touched is None
-    assert answer.reason.text
+    assert answer.reason
     return answer.reason.code
 
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from campaign import nightly
 from simulated import simulated, watched
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
@@ -57,9 +58,10 @@ def test_a_balanced_object_is_estimated_to_less_than_a_millimetre_and_consistent
     assert all(math.isfinite(e.e_f) for e in late)
 
 
-def test_estimates_of_an_object_with_friction_are_consistent():
+@pytest.mark.parametrize("seeds", [(401, 402), *nightly(((403, 404),))])
+def test_estimates_of_an_object_with_friction_are_consistent(seeds):
     ratios = []
-    for seed in (401, 402, 403, 404):
+    for seed in seeds:
         run = simulated("friction", seed, 8.0)
         observer = QuasistaticObserver(run.rig)
         for estimate in watched(observer, run.events, 7.9):
@@ -69,7 +71,7 @@ def test_estimates_of_an_object_with_friction_are_consistent():
                 normals = run.palms[k, 0] - run.truth.psi[k] - math.pi / 2
                 true = np.interp(normals % (2 * math.pi), run.truth.theta, run.truth.h)
                 ratios.append(((estimate.r1 - true) / estimate.sd["r1"]) ** 2)
-    assert len(ratios) > 1000
+    assert len(ratios) > 500
     assert 0.1 < np.mean(ratios) < 3.0
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign import nightly
 from library import library, run_with
 
 from palmd import observer
@@ -30,7 +31,7 @@ def identification(t, *probability, names=("a", "b")):
 # ---- runs
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("nominal", 21), ("friction", 22), ("rig", 23), ("odd", 20)])
+@pytest.mark.parametrize(("kind", "seed"), [("rig", 23), ("odd", 20), *nightly(("nominal", 21), ("friction", 22))])
 def test_the_right_outline_is_found_within_three_seconds(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     chosen = seed % 8
@@ -48,7 +49,7 @@ def test_the_right_outline_is_found_within_three_seconds(kind, seed):
     assert found.decided_at < 2.5
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("friction", 32), ("rig", 33), ("odd", 34)])
+@pytest.mark.parametrize(("kind", "seed"), [("rig", 33), *nightly(("friction", 32), ("odd", 34))])
 def test_a_similar_object_that_is_not_stored_is_not_identified(kind, seed):
     bodies, outlines = library(kind, seed, 8)
     run = run_with(bodies[0], kind, seed, 4.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -41,10 +41,7 @@ class Refusing:
     """A smoother that first gives a refusal and later an improvement."""
 
     def __init__(self, refusal: Improvement | Unexplained, ready: float, improvement: Improvement | None):
-        self.script: list[tuple[float, Improvement | Unexplained | None]] = [
-            (refusal.t, refusal),
-            (ready, improvement),
-        ]
+        self.script: list[tuple[float, Improvement | Unexplained | None]] = [(refusal.t, refusal), (ready, improvement)]
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         pass
@@ -91,6 +88,12 @@ def answers(run: Run) -> Answers:
     return cache(partial(answer, run))
 
 
+@pytest.fixture(scope="module")
+def alone(run: Run) -> list[Estimate]:
+    """Estimates of the bank without a smoother."""
+    return [estimate for _, estimate in ticks(run, observer.make("shape", run.rig))]
+
+
 def answer(run: Run, end: float, rig: RigDescription | None = None) -> Improvement | None:
     """The answer of a smoother for the readings up to `end` (s)."""
     smoother = IncrementalSmoother(rig or run.rig)
@@ -112,20 +115,16 @@ def radii(run: Run, t: float) -> FloatArray:
     return shape.basis(np.array([theta1, theta1 + phi2 - math.pi]), 30) @ outline
 
 
-def radius_errors(run: Run, watcher: observer.Observer, since: float) -> FloatArray:
-    errors = []
-    for t, estimate in ticks(run, watcher):
-        if t >= since:
-            errors.append([estimate.r1, estimate.r2] - radii(run, t))
-    return np.array(errors)
+def radius_errors(run: Run, estimates: Iterable[Estimate], since: float) -> FloatArray:
+    return np.array([[each.r1, each.r2] - radii(run, each.t) for each in estimates if each.t >= since])
 
 
-def test_the_smoother_makes_the_observer_more_accurate_than_the_bank_alone(run: Run) -> None:
-    alone = radius_errors(run, observer.make("shape", run.rig), 3.0)
-    improved = radius_errors(run, observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig)), 3.0)
+def test_the_smoother_makes_the_observer_more_accurate_than_the_bank_alone(run: Run, alone: list[Estimate]) -> None:
+    watcher = observer.make("shape", run.rig, smoothing=observer.Simulated(run.rig))
+    improved = radius_errors(run, [estimate for _, estimate in ticks(run, watcher)], 3.0)
     rms = math.sqrt(np.mean(improved**2))
     assert rms < 0.1e-3
-    assert rms < 1.05 * math.sqrt(np.mean(alone**2))
+    assert rms < 1.05 * math.sqrt(np.mean(radius_errors(run, alone, 3.0) ** 2))
 
 
 @pytest.mark.nightly
@@ -143,17 +142,18 @@ def test_an_object_that_quickly_replaces_another_is_distinguished(seed: int) -> 
 
 
 @pytest.mark.parametrize("word", ["no outline", "none for sure", "hardly any"])
-def test_a_refusal_by_the_smoother_makes_the_estimate_invalid_until_an_improvement(run: Run, word: str) -> None:
-    found, early = answer(run, 4.0), answer(run, 3.0)
+def test_a_refusal_by_the_smoother_makes_the_estimate_invalid_until_an_improvement(
+    run: Run, answers: Answers, alone: list[Estimate], word: str
+) -> None:
+    found, early = answers(4.0), answers(3.0)
     assert early is not None
     doubtful = replace(early, established=False, touched=np.zeros_like(early.touched))
     widened = (1.1 * CONFIRMED_M / outline_sd(early)) ** 2
     vague = replace(early, established=False, P=widened * early.P)
     says = {"no outline": Unexplained(3.0), "none for sure": doubtful, "hardly any": vague}[word]
-    alone = {t: estimate.valid for t, estimate in ticks(run, observer.make("shape", run.rig))}
     watcher = observer.make("shape", run.rig, smoothing=Refusing(says, 4.5, found))
     valid = {t: estimate.valid for t, estimate in ticks(run, watcher)}
-    assert all(alone[t] for t in alone if 2.9 < t < 6.0)
+    assert all(estimate.valid for estimate in alone if 2.9 < estimate.t < 6.0)
     assert all(valid[t] for t in valid if 2.9 < t < 2.99)
     assert not any(valid[t] for t in valid if 3.01 < t < 4.49)
     assert all(valid[t] for t in valid if t > 5.0)
@@ -183,9 +183,9 @@ def test_before_the_first_answer_a_failed_innovation_test_makes_it_invalid(run: 
     assert all(beside)
 
 
-def test_after_a_confirmation_a_strongly_failed_innovation_test_makes_it_invalid(run: Run) -> None:
+def test_after_a_confirmation_a_strongly_failed_innovation_test_makes_it_invalid(run: Run, answers: Answers) -> None:
     """Observed with an ellipse: wrongly confirmed, then published as valid with an sd above a millimetre."""
-    watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answer(run, 3.0)))
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answers(3.0)))
     replayed = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
     assert any(sd > CONTRADICTED_M for t, _, sd in replayed if t > 4.0)
     assert all(sd < CONTRADICTED_M for t, valid, sd in replayed if t > 4.0 and valid)
@@ -251,7 +251,7 @@ def test_an_improvement_contradicted_by_its_readings_is_rejected(run: Run, answe
     wrong = right.x.copy()
     wrong[6] += 3e-3  # 3 mm larger
     watcher = observer.make("shape", run.rig, smoothing=Scripted(end, replace(right, x=wrong)))
-    errors = radius_errors(run, watcher, 4.0)
+    errors = radius_errors(run, [estimate for _, estimate in ticks(run, watcher)], 4.0)
     assert watcher.improvements == 0
     assert np.abs(errors).max() < 0.5e-3
 

@@ -306,10 +306,7 @@ def test_vibration_in_the_header(described, written, meant):
     ("written", "what"),
     [
         ("fast", "vibration must be an object"),
-        (
-            {"relation": "alike"},
-            "vibration.relation must be one of independent, in_phase, antiphase, unknown, none",
-        ),
+        ({"relation": "alike"}, "vibration.relation must be one of independent, in_phase, antiphase, unknown, none"),
         ({"law": "old"}, "vibration.law must be one of sign_pairs, averaged"),
         ({"speed_m_s": 0}, "speed_m_s must be more than 0, got 0"),
         ({"frequency_hz": "250"}, "frequency_hz must be a finite number"),

@@ -61,7 +61,7 @@ def offset_error(found, camera):
     return found.clock.log_time(np.array([found.clock.t_middle]))[0] - true
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 @pytest.mark.parametrize("palms", [True, False])
 def test_clock_and_frame_are_found_within_their_sds(tmp_path, run, seed, palms):
     without = () if palms else ("palm1_angle_deg", "palm2_angle_deg")

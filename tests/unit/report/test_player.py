@@ -3,18 +3,16 @@
 import json
 import math
 import re
-import shutil
 
 import numpy as np
 import pytest
+import reported
 import synthetic_runs
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
+from browser_page import browser
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.wait import WebDriverWait
 
-from palmd.cli import main
 from palmd.report import player_data as player
 from palmd.report.body import pose_at
 
@@ -69,56 +67,39 @@ def test_a_run_without_outlines_or_truth_can_be_played(tmp_path):
     assert set(column(data, "outline")) == {-1}
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    """The report of a run with two objects, made once because its figures take long."""
-    folder = tmp_path_factory.mktemp("page")
-    source = synthetic_runs.write(folder, synthetic_runs.messages(2.5, second_from=1.5))
-    assert main(["report", str(source), "-o", str(folder / "r.html")]) == 0
-    return folder / "r.html"
-
-
-def test_hints_are_escaped_in_the_page(page):
-    data = re.search(r'id="player-data">(.*?)</script>', page.read_text(), re.DOTALL)[1]
+def test_hints_are_escaped_in_the_page():
+    data = re.search(r'id="player-data">(.*?)</script>', reported.page().read_text(), re.DOTALL)[1]
     assert "<" not in data
     assert any("<" in hint for _, _, hint in json.loads(data)["faults"])
 
 
-@pytest.fixture
-def browser():
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("needs chromium and chromedriver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=800,900"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with webdriver.Chrome(options=options, service=Service(driver)) as started:
-        yield started
-
-
-def words(browser):
-    cells = browser.find_elements(By.CSS_SELECTOR, "#player dt, #player dd")
+def words(driver):
+    cells = driver.find_elements(By.CSS_SELECTOR, "#player dt, #player dd")
     return dict(zip((c.text for c in cells[::2]), (c.text for c in cells[1::2]), strict=True))
 
 
-def test_the_page_is_opened_from_a_file_and_scrubbed_by_keyboard(browser, page):
-    browser.get(page.as_uri())
-    slider = browser.find_element(By.CSS_SELECTOR, "#player input")
+@pytest.fixture
+def driver():
+    with browser() as started:
+        yield started
+
+
+def test_the_page_is_opened_from_a_file_and_scrubbed_by_keyboard(driver):
+    driver.get(reported.page().as_uri())
+    slider = driver.find_element(By.CSS_SELECTOR, "#player input")
     picture = "return document.querySelector('#player canvas').toDataURL()"
     slider.send_keys(Keys.HOME)
-    first, seen = words(browser), browser.execute_script(picture)
+    first, seen = words(driver), driver.execute_script(picture)
     slider.send_keys(Keys.END)
-    last = words(browser)
+    last = words(driver)
     assert float(first["time"].split()[0]) < 0.1
     assert float(last["time"].split()[0]) == pytest.approx(2.5, abs=0.1)
-    assert browser.execute_script(picture) != seen
+    assert driver.execute_script(picture) != seen
     slider.send_keys(Keys.ARROW_LEFT)
-    assert words(browser)["time"] != last["time"]
+    assert words(driver)["time"] != last["time"]
     assert math.isfinite(float(last["touched"].split()[0]))
     slider.send_keys(Keys.HOME)
-    button = browser.find_element(By.CSS_SELECTOR, "#player button")
+    button = driver.find_element(By.CSS_SELECTOR, "#player button")
     button.send_keys(Keys.SPACE)
-    WebDriverWait(browser, 60).until(lambda b: words(b)["time"] != first["time"])
-    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+    WebDriverWait(driver, 60).until(lambda b: words(b)["time"] != first["time"])
+    assert [line for line in driver.get_log("browser") if line["level"] == "SEVERE"] == []

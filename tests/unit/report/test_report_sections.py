@@ -3,13 +3,12 @@
 import re
 import sys
 from dataclasses import replace
-from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+import reported
 import synthetic_runs
 from matplotlib.figure import Figure
 
@@ -25,12 +24,6 @@ from palmd.report.series import TopicSeries
 from palmd.system.rig_constants import RIG_NAMES
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
-_KEPT = TemporaryDirectory(prefix="palmd-test-report-")
-
-
-@cache
-def path():
-    return synthetic_runs.write(Path(_KEPT.name), synthetic_runs.messages(2.5, second_from=1.5, lost=range(200, 220)))
 
 
 def report(folder, messages, **how):
@@ -78,14 +71,8 @@ class Page(HTMLParser):
             self.references += re.findall(r"url\((.*?)\)", value or "")
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    target = tmp_path_factory.mktemp("page") / "report.html"
-    assert main(["report", str(path()), "-o", str(target)]) == 0
-    return target.read_text()
-
-
-def test_the_page_is_complete_and_loads_nothing_external(page):
+def test_the_page_is_complete_and_loads_nothing_external():
+    page = reported.page().read_text()
     read = Page(page)
     assert read.open == []
     assert read.tags.count("svg") == read.tags.count("figure") == 10
@@ -104,8 +91,8 @@ def test_the_page_is_complete_and_loads_nothing_external(page):
     assert "@import" not in page
 
 
-def test_the_page_describes_the_run(page):
-    text = " ".join(" ".join(Page(page).text).split())
+def test_the_page_describes_the_run():
+    text = " ".join(" ".join(Page(reported.page().read_text()).text).split())
     for words in (
         "2026-11-21 22:30:05 UTC", "2.5 s", "observer shape", "complete", "2; with a valid estimate: 1, 2",
         "20 of palm/contact, 20 of palm/estimate", "e_h 4 µm", "Hausdorff 4", "r₁ 75%, r₂ 100%",
@@ -116,7 +103,7 @@ def test_the_page_describes_the_run(page):
 
 def test_the_pdf_has_its_pages_and_embeds_its_fonts(tmp_path):
     target = tmp_path / "report.pdf"
-    assert main(["report", str(path()), "-o", str(target)]) == 0
+    assert main(["report", str(reported.run()), "-o", str(target)]) == 0
     data = target.read_bytes()
     assert data.startswith(b"%PDF-")
     assert data.rstrip().endswith(b"%%EOF")
@@ -172,7 +159,6 @@ def test_mis_calibrated_constants_at_the_end_are_listed(tmp_path):
         made = report(tmp_path, [*messages, *((RIG.name, fields, 1.0, i) for i, fields in enumerate(said))])
         (section,) = [section for section in made.sections if section.title == "Rig"]
         assert len(section.parts[0].rows) == count
-        draw(made)
 
 
 def test_unknown_numbers_are_shown_as_unknown(tmp_path):
@@ -231,16 +217,16 @@ def test_bad_input_is_a_one_line_error(tmp_path, monkeypatch, capsys, arguments,
     Path("prose.mcap").write_text("not a run\n")
     Path("folder.pdf").mkdir()
     monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
-    assert main(["report", *[str(path()) if each == "RUN" else each for each in arguments]]) == 1
+    assert main(["report", *[str(reported.run()) if each == "RUN" else each for each in arguments]]) == 1
     assert capsys.readouterr().err == line + "\n"
 
 
 def test_a_run_is_never_overwritten_by_its_report(tmp_path, capsys):
     run = tmp_path / "run.html"
-    run.write_bytes(path().read_bytes())
+    run.write_bytes(reported.run().read_bytes())
     assert main(["report", str(run), "-o", str(run)]) == 1
     assert "is the input file" in capsys.readouterr().err
-    assert run.read_bytes() == path().read_bytes()
+    assert run.read_bytes() == reported.run().read_bytes()
 
 
 def test_without_matplotlib_the_error_says_what_to_install(tmp_path, monkeypatch, capsys):
@@ -250,7 +236,7 @@ def test_without_matplotlib_the_error_says_what_to_install(tmp_path, monkeypatch
             monkeypatch.delattr(room, name.rpartition(".")[2], raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
-    assert main(["report", str(path()), "-o", str(tmp_path / "report.html")]) == 1
+    assert main(["report", str(reported.run()), "-o", str(tmp_path / "report.html")]) == 1
     assert (
         capsys.readouterr().err
         == f"the report needs matplotlib, which is not installed: {install_line('matplotlib', 'report')}\n"
@@ -261,6 +247,6 @@ def test_without_matplotlib_the_error_says_what_to_install(tmp_path, monkeypatch
 def test_the_default_name_is_the_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
-    assert main(["report", str(path())]) == 0
-    assert Path(f"{path().stem}.html").read_bytes() == b"html"
-    assert capsys.readouterr().out.startswith(f"{path().stem}.html: valid ")
+    assert main(["report", str(reported.run())]) == 0
+    assert Path(f"{reported.run().stem}.html").read_bytes() == b"html"
+    assert capsys.readouterr().out.startswith(f"{reported.run().stem}.html: valid ")

@@ -23,12 +23,12 @@ from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
 from tools.closed_loop import PivotLoop, ThreePalmsLoop, TwoPalmsLoop
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 
 
-class Silent(SilentObserver):
+class Silent(EmptyObserver):
     name, object_count, late_dropped = "silent", 0, 0
 
 

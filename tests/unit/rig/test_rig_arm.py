@@ -39,7 +39,6 @@ def test_rates_and_accelerations_agree_with_differences():
 
     for t in (0.1, 0.5, 1.3):
         palms = LINKAGE.motion(*axes(t))
-        assert palms is not None
         assert palms.rates[0] == pytest.approx(0.6 * math.cos(2.0 * t), abs=1e-5)
         assert palms.rates[1] == pytest.approx(-0.6 * math.sin(3.0 * t), abs=1e-5)
         assert palms.accelerations[0] == pytest.approx(-1.2 * math.sin(2.0 * t), abs=1e-4)

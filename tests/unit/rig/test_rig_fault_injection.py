@@ -27,13 +27,7 @@ def test_every_fault_can_be_ordered_by_name():
 
 def test_text_form():
     (found,) = parse("drop@pad2,strength=0.2,after=3,for=2", 10.0)
-    assert (found.name, found.port, found.strength, found.t_on, found.t_off) == (
-        "drop",
-        "pad2",
-        0.2,
-        13.0,
-        15.0,
-    )
+    assert (found.name, found.port, found.strength, found.t_on, found.t_off) == ("drop", "pad2", 0.2, 13.0, 15.0)
 
 
 @pytest.mark.parametrize(

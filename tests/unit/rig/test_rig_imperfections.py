@@ -135,7 +135,7 @@ def test_an_observable_imperfection_is_estimated(off, known):
     assert [name for name, true in off.constants().items() if true and not is_estimated(answer, name, true)] == []
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_the_scale_of_one_pad_is_estimated_if_the_others_is_known(number):
     off = of_pad(number, scale=-SCALE)
     run = simulated("friction", 44, 12.0, imperfections=off)

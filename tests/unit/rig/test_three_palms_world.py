@@ -13,14 +13,7 @@ from palmd.devices.pad import make_pad
 from palmd.events import PadSample
 from palmd.messages import stamp
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
-from palmd.rig.three_palms.plant import (
-    PHASE_SHIFT,
-    PHASES,
-    BodyOnPalms,
-    FrictionParameters,
-    TurningPalms,
-    palm_rows,
-)
+from palmd.rig.three_palms.plant import PHASE_SHIFT, PHASES, BodyOnPalms, FrictionParameters, TurningPalms, palm_rows
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.system.three_palms import PALMS, palms_at, readings_of
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH

@@ -9,10 +9,10 @@ from palmd.daemon.systems import live_system
 from palmd.messages import invalid_reasons
 from palmd.system.reasons import NO_REASON, Code, Reason
 from palmd.yamlfile import load_any_config
-from tools.studies.silent_observer import SilentObserver
+from tools.studies.stub_observers import EmptyObserver
 
 
-class Silent(SilentObserver):
+class Silent(EmptyObserver):
     name, object_count, late_dropped = "silent", 0, 0
 
 
@@ -29,6 +29,12 @@ def test_an_unknown_code_is_read_as_the_generic_one(unknown):
 def test_a_reason_is_true_and_its_absence_false():
     assert Reason(Code.UNTOUCHED, "nothing touches the pad")
     assert not NO_REASON
+
+
+def test_a_reason_crosses_a_process_with_its_code():
+    reason = Reason(Code.UNTOUCHED, "nothing touches the pad")
+    other = pickle.loads(pickle.dumps(reason))
+    assert (other, other.code) == ("nothing touches the pad", Code.UNTOUCHED)
 
 
 @pytest.mark.parametrize(

@@ -30,18 +30,18 @@ _BIAS = 1e-200  # share of a penetration that is left after a second
 _PALM_M = (-0.1, 0.2)
 
 
-def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
-    """The outline made of `count` arcs of equal angle; within 2 nm of a smooth one for 7,200.
+def arcs_of(support: SupportFunction) -> ArcSupport:
+    """The outline made of `_ARCS` arcs of equal angle; within 2 nm of a smooth one.
 
     Each has the outline's mean radius of curvature over its normals, corrected so that the outline closes.
     """
-    theta: FloatArray = np.arange(count, dtype=np.float64) * (math.tau / count)
+    theta: FloatArray = np.arange(_ARCS, dtype=np.float64) * (math.tau / _ARCS)
     fine = 64
-    inner: FloatArray = (np.arange(count * fine, dtype=np.float64) + 0.5) * (math.tau / count / fine)
+    inner: FloatArray = (np.arange(_ARCS * fine, dtype=np.float64) + 0.5) * (math.tau / _ARCS / fine)
     curvature_radius: FloatArray = np.add(support.sample(inner), support.sample(inner, 2))
-    v = curvature_radius.reshape(count, fine).mean(axis=1)
+    v = curvature_radius.reshape(_ARCS, fine).mean(axis=1)
     # an outline of arcs closes where Σ v_j (u(θ_{j+1}) − u(θ_j)) = 0
-    step = np.exp(1j * (theta + math.tau / count)) - np.exp(1j * theta)
+    step = np.exp(1j * (theta + math.tau / _ARCS)) - np.exp(1j * theta)
     basis = np.array([step.real, step.imag])
     v -= basis.T @ np.linalg.solve(basis @ basis.T, basis @ v)
     h0, slope0 = float(support.sample(theta[:1])[0]), float(support.sample(theta[:1], 1)[0])
@@ -50,7 +50,7 @@ def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
         c, s = math.cos(angle), math.sin(angle)
         x, y = (h - radius) * c - slope * s, (h - radius) * s + slope * c
         centres.append((x, y))
-        after = angle + math.tau / count
+        after = angle + math.tau / _ARCS
         c, s = math.cos(after), math.sin(after)
         h, slope = x * c + y * s + radius, y * c - x * s
     return ArcSupport(tuple(theta.tolist()), tuple(v.tolist()), tuple(centres))

@@ -1,7 +1,7 @@
-"""The whole daemon in closed loop with an engine as the emulated rig's plant, beside palmd's own: one run in numbers.
+"""The whole daemon in closed loop, with MuJoCo or palmd's own plant in the emulated rig.
 
-As `palmd demo --physics mujoco` does it, in virtual time: an unknown ellipse by the seed, palms that vibrate, a rig as
-far off as calibration leaves one, explored until the outline is complete, and then at rest.
+As `palmd demo --physics mujoco`, in virtual time: an ellipse drawn by the seed, vibrating palms and a rig with residual
+calibration errors; the ellipse is explored until its outline is complete.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 
 from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.console.shipped import shipped
-from palmd.daemon.exploration_requests import Decider
 from palmd.harness.comparison import ObjectLosses
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.observer import Simulated
@@ -26,9 +25,9 @@ from palmd.rig.world import World
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
 from palmd.yamlfile import load_config, load_plan
-from tools.closed_loop import InlineExplorer, TwoPalmsLoop
+from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness
-from tools.studies.cells import Cell, count, errors, percent, quantiles, runs
+from tools.studies.cells import Cell, count, count_of, errors, percent, quantiles, runs
 from tools.studies.harness import ALL, Goal, Study, result
 from tools.studies.scoring import FAR
 
@@ -39,7 +38,7 @@ _ALONE_S = 2.0  # of the rig without a daemon, to time it
 
 @dataclass(frozen=True, slots=True)
 class DaemonTask:
-    """A run to do: who moves the object, which one, and for how long (s)."""
+    """One run: plant of the emulated rig, seed of the object, duration (s)."""
 
     physics: Physics
     seed: int
@@ -48,14 +47,14 @@ class DaemonTask:
 
 @dataclass(frozen=True, slots=True)
 class DaemonRow(DaemonTask):
-    """A run in numbers; NaN for what there is not.
+    """The results of one run; NaN for missing values.
 
-    error: what was raised, then nothing else is known. settled_s: first valid estimate since the start. touched: share
-    of the normals. e_h_m, sd_m: RMS error and RMS 1σ of the last valid outline over the touched normals; largest_m,
-    largest_sd_m: over all normals. valid, lost: whether the object is known at the end, and how often it was lost.
-    wrong: share of valid ticks with a radius off by more than 0.3 mm. fault: the first one that held or stopped the
-    palms. contact_losses: how often. penetration_m: the engine's deepest. rig_share: processor time of the emulated rig
-    alone, per second. took_s: processor time of the whole run.
+    error: the exception, without any other result. settled_s: time from the start to the first valid estimate. touched:
+    share of the normals. e_h_m, sd_m: RMS error and RMS 1σ of the last valid outline over the touched normals;
+    largest_m, largest_sd_m: over all normals. valid, lost: whether there is a valid estimate at the end, and how often
+    it was lost. wrong: share of valid ticks with an error of a radius above 0.3 mm. fault: the first one that held or
+    stopped the palms. contact_losses: number of lost contacts. penetration_m: the engine's deepest. rig_share:
+    processor time of the emulated rig alone, per second. took_s: processor time of the whole run.
     """
 
     error: str = ""
@@ -76,7 +75,7 @@ class DaemonRow(DaemonTask):
 
     @property
     def beyond(self) -> bool:
-        """An object that is said to be known at the end, off by more than 3σ where it was touched or anywhere."""
+        """Whether the estimate is valid at the end and wrong by more than 3σ, where touched or anywhere."""
         return self.valid and (self.e_h_m > FAR * self.sd_m or self.largest_m > FAR * self.largest_sd_m)
 
 
@@ -88,14 +87,11 @@ def demo() -> tuple[Config, PlanSpec]:
 
 
 def run(task: DaemonTask) -> DaemonRow:
-    """Explore and judge."""
+    """Explore and score."""
     begin = time.process_time()
     (config, plan), options = demo(), PlantOptions(physics=task.physics)
     rig = rig_description(config)
-    explorer = InlineExplorer(Decider(rig, task.seed))
-    loop = TwoPalmsLoop(
-        config, plan, task.seed, kind=KIND, options=options, smoothing=Simulated(rig), explorer=explorer
-    )  # fmt: skip
+    loop = TwoPalmsLoop(config, plan, task.seed, kind=KIND, options=options, smoothing=Simulated(rig))
     loop.start()
     scorer, standing, fault, wrong = Scorer(loop.t), ObjectLosses(), "", list[bool]()
     for instant in loop.run(task.seconds):
@@ -149,17 +145,8 @@ def draw(arguments: argparse.Namespace) -> Sequence[DaemonTask]:
     return [DaemonTask(physics, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for physics in asked]
 
 
-def _touched(rows: Sequence[DaemonRow]) -> str:
-    return f"{sum(row.touched >= TOUCHED for row in rows)} of {len(rows)}"
-
-
 def _share(value: str) -> Cell:
     return lambda rows: percent(float(np.median([getattr(row, value) for row in rows])))
-
-
-def remarks(rows: Sequence[DaemonRow]) -> list[str]:
-    """A line for each run."""
-    return [f"{row.physics} {row.seed}: {row.error or _remark(row)}" for row in rows]
 
 
 def _remark(row: DaemonRow) -> str:
@@ -179,7 +166,7 @@ def _remark(row: DaemonRow) -> str:
 COLUMNS: list[tuple[str, Cell]] = [
     ("objects", runs),
     ("ended in an error", errors),
-    ("touched 95 % or more", _touched),
+    ("touched 95 % or more", count_of(lambda row: row.touched >= TOUCHED)),
     ("valid at the end", count(lambda row: row.valid)),
     ("valid at the end and beyond 3σ", count(lambda row: row.beyond)),
     ("RMS error of the touched outline, median / p90 (µm)", quantiles(lambda row: row.e_h_m, 1e6, (0.5, 0.9))),
@@ -200,7 +187,8 @@ STUDY = Study(
     by=lambda row: row.physics,
     columns=COLUMNS,
     across=True,
-    remarks=remarks,
+    title=lambda row: f"{row.physics} {row.seed}",
+    remark=_remark,
     goals=[
         Goal("no outline that is valid at the end is beyond 3σ", lambda rows: not any(row.beyond for row in rows)),
     ],

@@ -16,21 +16,17 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from palmd import observer
 from palmd.config.two_palms import DrawnImperfections
 from palmd.console.extras import require
-from palmd.events import FloatArray
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import EventLog, read_log
-from palmd.record.replay import replay
+from palmd.record.eventlog import EventLog
 from palmd.rig.simulate import CALIBRATION
-from palmd.score import WRONG_M
 from tools.studies import harness
-from tools.studies.cells import among, count, errors, most, quantiles, runs
+from tools.studies.cells import accepted, count, errors, most, quantiles, runs
 from tools.studies.engines.scene import ENGINE_KINDS, Engine, EngineKind, engine_log
 from tools.studies.harness import ALL, Study, result
-from tools.studies.scoring import FAR, RIGHT_M, outline_errors, truth_of
-from tools.studies.simulated import written
+from tools.studies.scoring import FAR, RIGHT_M, outline_errors, replayed, truth_of
+from tools.studies.simulated import log_of
 
 EngineName = Literal["mujoco", "drake", "chipmunk"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
@@ -100,8 +96,7 @@ def engine_called(name: EngineName) -> Engine:
 def run(task: EngineTask) -> EngineRow:
     """Simulate by the engine, reconstruct, replay through the live observer, and compare."""
     lines, truth_fields = engine_log(engine_called(task.engine), task.kind, task.seed, task.seconds, task.known)
-    with written(lines) as path:
-        log = read_log(path)
+    log = log_of(lines)
     measured = {"penetration_m": truth_fields["engine_penetration_m"], "mu": truth_fields["mu"]}
     return result(EngineRow, task, **measured, **_offline(log, truth_fields), **_live(log, truth_fields))
 
@@ -111,7 +106,7 @@ def _offline(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
     scored = outline_errors(answer, truth)
     values: dict[str, Any] = {
         "accepted": bool(answer.converged),
-        "reason": answer.reason.text,
+        "reason": answer.reason,
         "chi2": float(answer.chi2),
         "took_s": float(answer.seconds),
         "mu_z": (answer.mu - truth.mu) / answer.mu_sd,
@@ -119,37 +114,21 @@ def _offline(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
         "mass_z": (answer.mass - truth.mass) / answer.mass_sd,
     }
     if scored is not None:
-        at = scored.touched
-        values |= {
-            "e_h_m": scored.score.e_h,
-            "nees": float(np.mean((scored.error[at] / scored.h_sd[at]) ** 2)),
-            "touched": scored.score.touched,
-        }
+        values |= {"e_h_m": scored.score.e_h, "nees": scored.nees, "touched": scored.score.touched}
     return values
 
 
 def _live(log: EventLog, truth_fields: dict[str, Any]) -> dict[str, Any]:
-    watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
-    rows = []
-    for tick in replay(log, watcher):
-        e = tick.estimate
-        rows.append((tick.t, e.valid, e.r1, e.r2, e.omega0, e.sd["omega0"]))
-    t, valid, r1, r2, omega0, omega0_sd = np.array(rows, dtype=np.float64).T
-    ok = valid > 0.0
+    live = replayed(log, truth_fields)
+    ok = live.valid
     if not ok.any():
         return {"valid": 0.0}
-
-    def off(name: str, values: FloatArray) -> FloatArray:
-        return np.asarray(np.abs(values - np.interp(t, truth_fields["t"], truth_fields[name])), dtype=np.float64)
-
-    begin = log.events[0].t_sample
-    settled = t - begin > min(SETTLED_S, 0.5 * (t[-1] - begin))
-    far = np.maximum(off("r1_m", r1), off("r2_m", r2)) > WRONG_M
+    settled = live.t > min(SETTLED_S, 0.5 * live.t[-1])
     return {
-        "first_valid_s": float(t[ok.argmax()] - begin),
+        "first_valid_s": float(live.t[ok.argmax()]),
         "valid": float(ok[settled].mean()),
-        "wrong": float(far[ok].mean()),
-        "omega0_beyond": float((off("omega0_rad_s", omega0)[ok] > FAR * omega0_sd[ok]).mean()),
+        "wrong": float(live.wrong[ok].mean()),
+        "omega0_beyond": float((np.abs(live.omega0_z[ok]) > FAR).mean()),
     }
 
 
@@ -174,14 +153,15 @@ STUDY = Study(
     EngineRow,
     order=lambda row: (ENGINES.index(row.engine), ENGINE_KINDS.index(row.kind), row.known, row.seed),
     by=lambda row: f"{row.kind}, {row.known}",
+    title=lambda row: f"{row.engine} {row.kind} {row.seed}",
     columns=[
         ("runs", runs),
         ("right", count(lambda row: row.right)),
         ("beyond 3σ", count(lambda row: row.beyond)),
         ("rejected", count(lambda row: not (row.accepted or row.error))),
         ("errors", errors),
-        ("e_h (µm)", among(lambda row: row.accepted, quantiles(lambda row: row.e_h_m, 1e6))),
-        ("(e_h/σ)²", among(lambda row: row.accepted, quantiles(lambda row: row.nees))),
+        ("e_h (µm)", accepted(quantiles(lambda row: row.e_h_m, 1e6))),
+        ("(e_h/σ)²", accepted(quantiles(lambda row: row.nees))),
         ("first valid (s)", quantiles(lambda row: row.first_valid_s)),
         ("valid (%)", quantiles(lambda row: row.valid, 100.0)),
         ("wrong (%)", quantiles(lambda row: row.wrong, 100.0)),
@@ -198,6 +178,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     harness.add_arguments(
         parser, runs=2, seconds_each=10.0, output="engines.jsonl", kinds=ENGINE_KINDS, what="of each combination"
     )
-    add = parser.add_argument
-    add("--engine", choices=(*ENGINES, ALL), default=ALL, help="physics engine (default: %(default)s)")
-    add("--imperfections", choices=(*CALIBRATION, ALL), default=ALL, help="of the rig, drawn (default: %(default)s)")
+    harness.add_imperfections(parser, ALL, default=ALL)
+    parser.add_argument("--engine", choices=(*ENGINES, ALL), default=ALL, help="physics engine (default: %(default)s)")

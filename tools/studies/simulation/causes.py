@@ -6,7 +6,16 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from palmd.rig.fault_injection import PADS
-from tools.studies.simulation.happenings import Broken, Bytes, ClientRequest, Happening, Restart, Slow, Stall, Trick
+from tools.studies.simulation.scenario import (
+    Broken,
+    Bytes,
+    ClientRequest,
+    RandomEvent,
+    Restart,
+    ScheduledFault,
+    Slow,
+    Stall,
+)
 
 LINGERS_S = 3.0
 """A cause may still trigger a fault this long after its end (s): ports are retried, counters judged, links found."""
@@ -90,11 +99,11 @@ class Cause:
     t_off: float
 
 
-def causes(happenings: Iterable[Happening]) -> Iterator[Cause]:
+def causes(events: Iterable[RandomEvent]) -> Iterator[Cause]:
     """The cause of each event."""
-    for each in happenings:
+    for each in events:
         match each:
-            case Trick():
+            case ScheduledFault():
                 name = each.name if each.port is None else f"{each.name}@{each.port}"
                 yield Cause(name, each.t, each.t + each.for_s)
             case Bytes():

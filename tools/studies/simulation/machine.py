@@ -5,24 +5,23 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import zmq
 
-from palmd.daemon.exploration_requests import ExplorationAnswer, Question
 from palmd.daemon.worker import SILENT_S
 from palmd.devices.port import DevicePort, PortCounters
 from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import PORTS, PortName
+from tools.closed_loop import AtOnce
 
 READING_S = 4e-6
 """Time that a look at the clock takes (s), so that polling loops end."""
 
 RETRY_S = 0.5
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -196,14 +195,8 @@ class Frame:
         return "virtual"
 
 
-class CommandSocket:
-    """The daemon's command socket: messages of clients, and answers."""
-
-    def __init__(self, heard: Callable[[int, bytes], None], answered: Callable[[int, bytes], None]) -> None:
-        """`heard` and `answered` are called with every message when it is received, and with every answer."""
-        self.waiting: deque[tuple[int, bytes]] = deque()
-        self._heard, self._answered = heard, answered
-        self._frames: deque[Frame] = deque()
+class VirtualSocket:
+    """As a `zmq.Socket` without options and address."""
 
     def setsockopt(self, *_: Any) -> None:
         """No options."""
@@ -214,13 +207,23 @@ class CommandSocket:
     def close(self) -> None:
         """Nothing to close."""
 
+
+class CommandSocket(VirtualSocket):
+    """The daemon's command socket: messages of clients, and answers."""
+
+    def __init__(self, received: Callable[[int, bytes], None], answered: Callable[[int, bytes], None]) -> None:
+        """`received` and `answered` are called with every message when it is received, and with every answer."""
+        self.waiting: deque[tuple[int, bytes]] = deque()
+        self._received, self._answered = received, answered
+        self._frames: deque[Frame] = deque()
+
     def recv(self, _flags: int, *, copy: bool) -> Frame:  # noqa: ARG002
         """The next frame of a message; raises zmq.Again."""
         if not self._frames:
             if not self.waiting:
                 raise zmq.Again
             client, payload = self.waiting.popleft()
-            self._heard(client, payload)
+            self._received(client, payload)
             self._frames += [Frame(b"%d" % client, True), Frame(b"", True), Frame(payload, False)]
         return self._frames.popleft()
 
@@ -229,25 +232,16 @@ class CommandSocket:
         self._answered(int(frames[0]), frames[-1])
 
 
-class Publisher:
+class Publisher(VirtualSocket):
     """The daemon's publisher."""
 
-    def __init__(self, said: Callable[[Sequence[bytes]], None]) -> None:
-        """`said` is called with every message's frames."""
-        self._said = said
-
-    def setsockopt(self, *_: Any) -> None:
-        """No options."""
-
-    def bind(self, _address: str) -> None:
-        """No address."""
-
-    def close(self) -> None:
-        """Nothing to close."""
+    def __init__(self, published: Callable[[Sequence[bytes]], None]) -> None:
+        """`published` is called with every message's frames."""
+        self._published = published
 
     def send_multipart(self, frames: Sequence[bytes], _flags: int) -> None:
         """Publish a message."""
-        self._said(frames)
+        self._published(frames)
 
 
 class Sockets:
@@ -279,21 +273,16 @@ class LateFuture(Future[T]):
         return self._clock.now >= self._t_done
 
 
-class Aside(Executor):
-    """Work beside the loop with a configurable duration."""
+class Aside(AtOnce):
+    """Work beside the loop with a configurable duration: it is done at once, and the result is available later."""
 
     def __init__(self, clock: Clock, takes_s: Callable[[], float]) -> None:
         """`takes_s`: duration of work that is submitted now (s)."""
         self._clock, self._takes_s = clock, takes_s
 
-    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Do it at once; the result is available later."""
-        future: LateFuture[T] = LateFuture(self._clock, self._clock.now + self._takes_s())
-        try:
-            future.set_result(work(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+    def new_future(self) -> Future[Any]:
+        """A future for work that is submitted now."""
+        return LateFuture(self._clock, self._clock.now + self._takes_s())
 
 
 class VirtualSmoother:
@@ -307,34 +296,3 @@ class VirtualSmoother:
         """The codes of the active faults."""
         if self._late_s() > SILENT_S:
             yield "smoother-silent"
-
-
-class Answers(Protocol):
-    """Decides exploration moves."""
-
-    def answer(self, question: Question) -> ExplorationAnswer:
-        """The answer to a question."""
-
-
-class SlowSource:
-    """Decisions for explorations with a configurable delay; see `Source`."""
-
-    def __init__(self, decider: Answers, takes_s: Callable[[], float]) -> None:
-        """`takes_s`: duration of a decision that is requested now (s)."""
-        self._decider, self._takes_s = decider, takes_s
-        self._ready: tuple[float, ExplorationAnswer] | None = None
-
-    def prepare(self) -> None:
-        """Nothing to do."""
-
-    def ask(self, question: Question) -> None:
-        """Decide, and hold the answer back; further questions are dropped."""
-        if self._ready is None:
-            self._ready = question.t + self._takes_s(), self._decider.answer(question)
-
-    def collect(self, t: float) -> ExplorationAnswer | None:
-        """The answer that is available at `t` (s)."""
-        if self._ready is None or t < self._ready[0]:
-            return None
-        (_, answer), self._ready = self._ready, None
-        return answer

@@ -38,9 +38,21 @@ from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.fault_injection import PORTS, FaultOrder
 from palmd.rig.world import AWAY_S, World, default_config
 from palmd.system.mechanism import PALMS
-from tools.studies.silent_observer import Breakable
+from tools.closed_loop import InlineExplorer
 from tools.studies.simulation.causes import causes
-from tools.studies.simulation.happenings import (
+from tools.studies.simulation.invariants import Breach, InvariantWatch
+from tools.studies.simulation.light_rig import COARSE_STEP_S, STEP_S, LightRig
+from tools.studies.simulation.machine import (
+    Aside,
+    CommandSocket,
+    Machine,
+    Publisher,
+    Sockets,
+    VirtualPort,
+    VirtualSmoother,
+    VirtualWaiter,
+)
+from tools.studies.simulation.scenario import (
     EXPLORE_TEXT,
     PLAN_TEXTS,
     RATE_HZ,
@@ -48,28 +60,15 @@ from tools.studies.simulation.happenings import (
     Bytes,
     ClientRequest,
     ClockStep,
-    Happening,
     Part,
+    RandomEvent,
     Restart,
     Scenario,
+    ScheduledFault,
     Slow,
     Stall,
-    Trick,
 )
-from tools.studies.simulation.light_observer import LightObserver
-from tools.studies.simulation.light_rig import COARSE_STEP_S, STEP_S, LightRig
-from tools.studies.simulation.machine import (
-    Aside,
-    CommandSocket,
-    Machine,
-    Publisher,
-    SlowSource,
-    Sockets,
-    VirtualPort,
-    VirtualSmoother,
-    VirtualWaiter,
-)
-from tools.studies.simulation.watch import Breach, Watch
+from tools.studies.stub_observers import FaultyObserver, TrivialObserver
 
 OPERATOR = 99
 """The client that restarts the motion, following the hints."""
@@ -126,17 +125,17 @@ class Simulation:
         else:
             self.rig = LightRig(self.config, scenario.seed, COARSE_STEP_S if scenario.coarse else STEP_S)
         self.machine = Machine(self.rig, scenario.latency_s)
-        self._causes = tuple(causes(scenario.happenings))
-        self.watch = Watch(self.config, self._causes, self.rig.arm, autostart=scenario.autostart)
-        self._waiting = list(reversed(scenario.happenings))
+        self._causes = tuple(causes(scenario.events))
+        self.watch = InvariantWatch(self.config, self._causes, self.rig.arm, autostart=scenario.autostart)
+        self._waiting = list(reversed(scenario.events))
         self._stalls: dict[Part, float] = {}
         self._slow: dict[str, tuple[float, float]] = {}
         self._broken: tuple[Any, float] | None = None
         self._numbers = itertools.count()
         self._t_look = 0.0
         self._losses = self._falls = 0
-        self._breakable = Breakable(LightObserver())
-        for each in scenario.happenings:
+        self._breakable = FaultyObserver(TrivialObserver())
+        for each in scenario.events:
             self._order(each)
         self._begin()
 
@@ -145,16 +144,16 @@ class Simulation:
     def _begin(self) -> None:
         machine, watch, clock = self.machine, self.watch, self.machine.clock
         seed = self.scenario.seed
-        sound: Observer = LightObserver()
+        sound: Observer = TrivialObserver()
         if self.scenario.thorough:
             sound = observer.make("shape", rig_description(self.config), seed)
-        self._breakable = Breakable(sound)
+        self._breakable = FaultyObserver(sound)
         core = WatchedCore(
             self.config,
             self._breakable,
             Aside(clock, lambda: self._takes("planner", PLANNED_S)),
             _plan(self.scenario.plan),
-            explorer=SlowSource(Decider(rig_description(self.config)), lambda: self._takes("explorer", DECIDED_S)),
+            explorer=InlineExplorer(Decider(rig_description(self.config)), lambda: self._takes("explorer", DECIDED_S)),
             smoother=VirtualSmoother(lambda: self._takes("smoother", 0.0)),
         )
         core.simulation = self
@@ -165,7 +164,7 @@ class Simulation:
             for port in PORTS
         }
         self._commands = CommandSocket(
-            lambda client, payload: watch.heard(client, payload, clock.now),
+            lambda client, payload: watch.received(client, payload, clock.now),
             lambda client, payload: watch.answered(client, payload, clock.now),
         )
         sockets = Sockets(Publisher(self._published), self._commands)
@@ -185,7 +184,7 @@ class Simulation:
 
     def _published(self, frames: Sequence[bytes]) -> None:
         self.spend("publish")
-        self.watch.said(frames, self.machine.clock.now)
+        self.watch.published(frames, self.machine.clock.now)
 
     def spend(self, part: Part) -> None:
         """Stall the process for as long as a stall in this part lasts."""
@@ -215,36 +214,36 @@ class Simulation:
     def step(self) -> None:
         """One period of the loop."""
         clock, watch = self.machine.clock, self.watch
-        self._let_happen(clock.now)
+        self._trigger_due(clock.now)
         self._operate(clock.now)
         self.loop.period()
         self.machine.catch_up()
-        if isinstance(self.rig, FullRig) and self.rig.contact_losses > self._losses:
-            self._losses = self.rig.contact_losses
-            watch.happened("left", clock.now, clock.now)
-        if isinstance(self.rig, FullRig) and self.rig.falls > self._falls:
-            self._falls = self.rig.falls
-            self.rig.new_object()  # an observer of the rig puts the object on again
-            watch.happened("left", clock.now, clock.now + AWAY_S)
-        truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
+        if isinstance(self.rig, FullRig):
+            if self.rig.contact_losses > self._losses:
+                self._losses = self.rig.contact_losses
+                watch.happened("left", clock.now, clock.now)
+            if self.rig.falls > self._falls:
+                self._falls = self.rig.falls
+                self.rig.new_object()  # an observer of the rig puts the object on again
+                watch.happened("left", clock.now, clock.now + AWAY_S)
+        truth = self.rig.truth()
         if not _lies_on_palms(truth):
             watch.left(clock.now)
         watch.tick(self.core, self.ports, self.loop.pending_bytes, self.rig.palms(), clock.now)
         if truth:
             watch.compare(self.core, truth, clock.now)
 
-    def _order(self, what: Happening) -> None:
+    def _order(self, what: RandomEvent) -> None:
         """Schedule the injected faults in advance."""
-        if isinstance(what, Trick):
+        if isinstance(what, ScheduledFault):
             self.rig.fault_injector.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
 
     def _judge_the_end(self, t: float) -> None:
-        truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
-        self.watch.faults_over(self.core, t, _lies_on_palms(truth))
+        self.watch.faults_over(self.core, t, _lies_on_palms(self.rig.truth()))
         if self.core.state not in (State.TRACKING, State.HOLD):
             self.watch.fail(t, "an operator gets the palms to move again", f"the state is {self.core.state}")
 
-    def _let_happen(self, t: float) -> None:
+    def _trigger_due(self, t: float) -> None:
         waiting = self._waiting
         if self._broken is not None and t >= self._broken[1]:
             self._broken = None

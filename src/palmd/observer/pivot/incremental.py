@@ -119,7 +119,7 @@ def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
         sd = f"the outline's standard deviation is {found.outline_sd_m * 1e3:.2f} mm"
         reason = Reason(Code.NOT_SHARP, f"{sd}; {ACCEPTED_M * 1e3:g} mm is accepted")
     if reason or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
-        return PivotAnswer(t, False, reason.text, math.nan, none, np.zeros((0, 0)), none, none, reason.code)
+        return PivotAnswer(t, False, reason, math.nan, none, np.zeros((0, 0)), none, none, reason.code)
     at = float(found.t[-1])
     return PivotAnswer(
         at, True, "", float(found.psi[-1]), found.p, found.covariance, found.h_sd, found.touched.astype(np.float64)

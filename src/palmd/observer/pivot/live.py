@@ -69,7 +69,7 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
         self._reason = Reason(Code.NO_OBJECT, "no outline is known yet")
-        self.invalid_because = self._reason.text
+        self.invalid_because = self._reason
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._recent: deque[PadSample] = deque()
@@ -197,9 +197,9 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
         return now.e_sd / abs(now.at.e)
 
     def _estimate_of(self, t: float, values: Mapping[str, Any], sd: dict[str, float], reason: Reason) -> PivotEstimate:
-        self.invalid_because = reason.text
+        self.invalid_because = reason
         return PivotEstimate(
-            t=t, valid=not reason, observer=NAME, object_count=self.object_count, reason=reason.text,
+            t=t, valid=not reason, observer=NAME, object_count=self.object_count, reason=reason,
             invalid_reasons=(reason.code,) if reason else (), sd=sd, **values,
         )  # fmt: skip
 

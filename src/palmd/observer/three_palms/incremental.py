@@ -315,7 +315,7 @@ class IncrementalBodySmoother:
         self._accepted |= not reason
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
-            t=float(first.record.t[-1]), record_start=self._record_start, accepted=not reason, reason=reason.text,
+            t=float(first.record.t[-1]), record_start=self._record_start, accepted=not reason, reason=reason,
             hypotheses=len(self._hypotheses), R=turned, omega=spin, p=p,
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),

@@ -128,12 +128,12 @@ class BodyObserver(ObserverOfOne[BodyAnswer]):
                 self._store_normals(now, t)
             else:
                 reason, self._filter = Reason(Code.INCONSISTENT, "the filter has diverged"), None
-        self.invalid_because = reason.text
+        self.invalid_because = reason
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
             nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=rotation,
             attitude_sd=attitude, touched=0.0 if known is None else float(known.touched.mean()),
-            hypotheses=0 if answer is None else answer.hypotheses, reason=reason.text,
+            hypotheses=0 if answer is None else answer.hypotheses, reason=reason,
             invalid_reasons=(reason.code,) if reason else (),
         )  # fmt: skip
 

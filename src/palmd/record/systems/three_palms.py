@@ -95,7 +95,7 @@ class ThreePalms:
         if joints is None:
             reason = Reason(Code.NO_ARM_REPORTS, "the joints are never reported")
             rejected = verdict.verdict(False, None, reason)
-            return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason.text)
+            return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason)
         answer = reconstruct(joints, readings, log.rig)
         line = as_line(answer)
         text = verdict.in_one_line(line, summary(answer) if answer.converged else "")

@@ -12,16 +12,16 @@ from palmd.observer.criticism import CALIBRATION_SD
 from palmd.rig.imperfections import PERFECT, drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
-from tools.studies import off
+from tools.studies import miscalibration
 from tools.studies.harness import as_line
-from tools.studies.off import (
+from tools.studies.miscalibration import (
     MISCALIBRATIONS,
     STUDY,
     Miscalibration,
     MiscalibrationRow,
     MiscalibrationTask,
     draw,
-    remarks,
+    totals,
     verdict,
     with_constants,
 )
@@ -58,12 +58,12 @@ def test_verdicts():
 def test_batched_readings_are_stamped_at_delivery_and_none_is_lost():
     events = [PadSample(0.001 + 0.007 * k, 1 + k % 2, 0.02 + 1e-4 * k, 1.0) for k in range(40)]
     events += [PalmSample(0.016 * k, (0.7, 1.6), (0.0, 0.0), (0.0, 0.0)) for k in range(10)]
-    batched = off._in_batches(sorted(events, key=lambda event: event.t_sample), off._PACKET_S)
+    batched = miscalibration._in_batches(sorted(events, key=lambda event: event.t_sample), miscalibration._PACKET_S)
     assert len(batched) == len(events)
     assert [each.t_sample for each in batched] == sorted(each.t_sample for each in batched)
     before, after = ({e.s: e.t_sample for e in of if isinstance(e, PadSample)} for of in (events, batched))
     late = np.array([after[s] - t for s, t in before.items()])
-    assert -off._PACKET_S < late.min() < late.max() <= off._BATCH_S
+    assert -miscalibration._PACKET_S < late.min() < late.max() <= miscalibration._BATCH_S
     one = [each.t_sample for each in batched if isinstance(each, PadSample) and each.pad == 1]
     assert len(set(one)) == len(one), "two readings of a pad at one time would count as one"
 
@@ -82,10 +82,10 @@ def test_overconfident_accepted_estimates_are_reported_with_their_seeds():
         named_early=("phi2_rad",),
     )  # fmt: skip
     rows = [good, replace(good, seed=4, e_h_m=3.1e-5), replace(good, seed=5, accepted=False, reason="too little")]
-    text = "\n".join(remarks(rows))
+    text = "\n".join([*totals(rows), *STUDY.remarks(rows)])
     assert "1 of 2 accepted have errors above 3 sd, 1 of 2 where touch can determine" in text
     high = replace(rows[1], off="pad 1 0.5 mm high")
-    assert "2 of 3 accepted have errors above 3 sd, 1 of 2 where" in "\n".join(remarks([*rows, high]))
+    assert "2 of 3 accepted have errors above 3 sd, 1 of 2 where" in "\n".join(totals([*rows, high]))
     (line,) = [line for line in STUDY.tabled(rows).splitlines() if line.startswith("exact: φ2 1°")]
     assert line.split()[3:] == ["2", "of", "3", "25.5", "2.55", "3.1", "1", "2", "3", "0", "0", "0", "3"]
     assert "φ2 1°, rig 4: error 31 µm, sd 10 µm" in text
@@ -96,7 +96,7 @@ def test_overconfident_accepted_estimates_are_reported_with_their_seeds():
 
 @pytest.mark.nightly
 def test_a_real_runs_constant_deviates_as_its_row_says():
-    row = off.run(MiscalibrationTask("φ2 1°", "exact", "friction", 3, 8.0))
+    row = miscalibration.run(MiscalibrationTask("φ2 1°", "exact", "friction", 3, 8.0))
     assert row.error == ""
     assert row.accepted
     assert not row.far

@@ -2,7 +2,8 @@
 
 Runs of 20 s (kinds friction and rig in turns) on an emulated rig with one wrong constant, or with corrupted readings.
 The rest of the rig is exactly known and declared so (`exact`), or has residual calibration errors, as is assumed for a
-log without a declaration (`calibrated`). The first ten seconds of each run are reconstructed too: by then the cause of
+log without a declaration (`calibrated`). Counted are accepted runs, their errors in 1σ, and which constants the result
+names as contradicted. The first ten seconds of each run are reconstructed too: by then the cause of
 a wrong outline should be named, if the readings determine it.
 """
 
@@ -18,7 +19,6 @@ import numpy as np
 
 from palmd.events import Event, PadSample
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import read_log
 from palmd.rig.imperfections import PERFECT, Imperfections, drawn
 from palmd.rig.plant import PlantOptions
 from palmd.rig.shapes import KINDS, Kind
@@ -26,10 +26,10 @@ from palmd.rig.simulate import PERFECTLY_KNOWN, simulate_log
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 from tools.studies import harness
-from tools.studies.cells import Cell, among, count, count_of, most, quantiles
+from tools.studies.cells import Cell, accepted, count, count_of, most, quantiles
 from tools.studies.harness import Study, result
 from tools.studies.scoring import FAR, outline_errors, truth_of
-from tools.studies.simulated import written
+from tools.studies.simulated import log_of
 
 TakenFor = Literal["exact", "calibrated"]
 TAKEN_FOR: tuple[TakenFor, ...] = get_args(TakenFor)
@@ -196,8 +196,7 @@ def run(task: MiscalibrationTask) -> MiscalibrationRow:
         imperfections=replace(with_constants(rest, miscalibration.constants), vibration=miscalibration.vibration),
         calibration_sd=_KNOWN[task.taken_for],
     )  # fmt: skip
-    with written(lines) as path:
-        log = read_log(path)
+    log = log_of(lines)
     events: list[Event] = list(log.events)
     if miscalibration.spoil is not None:
         events = miscalibration.spoil(events, np.random.default_rng([*stream, _STREAM]))
@@ -205,20 +204,19 @@ def run(task: MiscalibrationTask) -> MiscalibrationRow:
     early = reconstruct(first, log.rig)
     answer = early if len(first) == len(events) else reconstruct(events, log.rig)
     row = result(
-        MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason.text,
+        MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
     truth, true = truth_of(truth_line), np.array([truth_line["rig"][name] for name in RIG_NAMES])
     scored = outline_errors(answer, truth)
     if scored is None:
         return row
-    at = scored.touched
     z = np.abs(true - answer.rig) / answer.rig_sd
     which = [RIG_NAMES.index(name) for name in miscalibration.constants]
     return replace(
         row,
         e_h_m=scored.score.e_h,
-        h_sd_m=float(np.sqrt(np.mean(scored.h_sd[at] ** 2))),
+        h_sd_m=scored.sd,
         z=float(z[which].max()) if which else math.nan,
     )
 
@@ -268,39 +266,35 @@ def _early(what: str) -> Cell:
     return count(lambda row: verdict(of_name(row.off), row.named_early) == what)
 
 
-def _of_accepted(cell: Cell) -> Cell:
-    return among(lambda row: row.accepted, cell)
-
-
 COLUMNS: list[tuple[str, Cell]] = [
     ("accepted", count_of(lambda row: row.accepted)),
-    ("µm", _of_accepted(quantiles(lambda row: row.e_h_m, 1e6))),
-    ("error / sd: median", _of_accepted(quantiles(lambda row: row.e_h_m / row.h_sd_m))),
-    ("most", _of_accepted(most(lambda row: row.e_h_m / row.h_sd_m))),
+    ("µm", accepted(quantiles(lambda row: row.e_h_m, 1e6))),
+    ("error / sd: median", accepted(quantiles(lambda row: row.e_h_m / row.h_sd_m))),
+    ("most", accepted(most(lambda row: row.e_h_m / row.h_sd_m))),
     ("> 3 sd", count(lambda row: row.far)),
-    ("constant within 2 sd", _of_accepted(count(lambda row: row.z <= 2.0))),
+    ("constant within 2 sd", accepted(count(lambda row: row.z <= 2.0))),
     *((f"named: {what}", _early(what)) for what in VERDICTS),
     ("in the end: right", count(lambda row: verdict(of_name(row.off), row.named) == "right")),
 ]
 
 
-def remarks(rows: Sequence[MiscalibrationRow]) -> list[str]:
-    """Numbers of overconfident accepted runs by kind of rig; then a line for each of them and each rejected run."""
+def totals(rows: Sequence[MiscalibrationRow]) -> list[str]:
+    """Numbers of overconfident accepted runs by kind of rig."""
     lines = []
     for world in dict.fromkeys(row.taken_for for row in rows):
-        accepted = [row for row in rows if row.accepted and row.taken_for == world]
-        plain = [row for row in accepted if not of_name(row.off).blind]
+        some = [row for row in rows if row.accepted and row.taken_for == world]
+        plain = [row for row in some if not of_name(row.off).blind]
         lines.append(
-            f"{world}: {sum(row.far for row in accepted)} of {len(accepted)} accepted have errors above {FAR:g} sd, "
+            f"{world}: {sum(row.far for row in some)} of {len(some)} accepted have errors above {FAR:g} sd, "
             f"{sum(row.far for row in plain)} of {len(plain)} where touch can determine the whole mis-calibration"
         )
-    for row in rows:
-        if row.error or not row.accepted:
-            lines.append(f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}")
-        elif row.far:
-            error, sd = 1e6 * row.e_h_m, 1e6 * row.h_sd_m
-            lines.append(f"{row.off}, {row.kind} {row.seed}: error {error:.0f} µm, sd {sd:.0f} µm")
     return lines
+
+
+def remark(row: MiscalibrationRow) -> str:
+    """On rejected and on overconfident runs."""
+    overconfident = f"error {1e6 * row.e_h_m:.0f} µm, sd {1e6 * row.h_sd_m:.0f} µm" if row.far else ""
+    return overconfident if row.accepted else row.reason
 
 
 STUDY = Study(
@@ -311,13 +305,17 @@ STUDY = Study(
     order=lambda row: (TAKEN_FOR.index(row.taken_for), NAMES.index(row.off), row.seed),
     by=lambda row: f"{row.taken_for}: {row.off}",
     columns=COLUMNS,
-    remarks=remarks,
+    totals=totals,
+    title=lambda row: f"{row.off}, {row.kind} {row.seed}",
+    remark=remark,
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
-    harness.add_arguments(parser, runs=4, seconds_each=20.0, output="off.jsonl", what="how many runs of each")
+    harness.add_arguments(
+        parser, runs=4, seconds_each=20.0, output="miscalibration.jsonl", what="how many runs of each"
+    )
     add = parser.add_argument
     add("--taken-for", choices=TAKEN_FOR, nargs="+", default=TAKEN_FOR, metavar="WORLD",
         help=f"the rest of the rig: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip

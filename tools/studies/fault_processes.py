@@ -1,41 +1,31 @@
-"""Test stand of rig, daemon, recorder and page as processes, on which faults are injected and reactions measured."""
+"""Processes on which the fault campaign injects its faults and measures the reactions."""
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
 import resource
 import signal
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from palmd.bus.subscriber import Message
 from palmd.config.two_palms import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator
-from palmd.harness.stack import START_S, Stack, not_started
+from palmd.harness.stack import START_S, not_started
 from palmd.record import RunError
 from palmd.record.run import read_run
-from tools.studies.fault_reaction import Reaction, ReactionWatch, TrueMotion, complete
-from tools.studies.fault_rows import (
-    Act,
-    FaultRow,
-    FullDisk,
-    Kill,
-    Pause,
-    Process,
-    RowFault,
-    TakenAddress,
-    WallClockStep,
-)
-from tools.studies.fault_why import ask, asked_at
+from tools.studies.fault_reaction import Reaction, ReactionWatch, complete
+from tools.studies.fault_rows import Act, FaultRow, FullDisk, Kill, Pause, Process, TakenAddress, WallClockStep
+from tools.studies.root_cause import ask, asked_at
+from tools.studies.study_processes import LOOK_S, PATIENCE_S, InjectedFault, StudyProcesses
 
-PATIENCE_S = 40.0  # longest time until the palms move again
 WATCHED_LEAST_S, WATCHED_MOST_S = 1.0, 10.0  # duration of watching a reaction
 AFTERWARDS_S = 0.5  # watched on after the reaction is complete
-LOOK_S = 0.02  # polling period
 CLOCKS_AGREE_S = 1.0
 BRISK_RAD_S = 0.4
 """Rate that a palm must have when a cause occurs, so that there is a motion to stop (rad/s)."""
@@ -48,86 +38,61 @@ time.time = lambda: _time() + ({seconds!r} if os.path.exists(_mark) else 0.0)
 """For the interpreter's `sitecustomize`: steps the wall clock of one process as soon as the mark file exists."""
 
 
-class Stand(Stack):
-    """See the module; a context manager that starts the processes and ends them.
-
-    `usable` becomes False if the palms could not be brought to move again.
-    """
+class FaultProcesses(StudyProcesses):
+    """See the module. `usable` becomes False if the palms could not be brought to move again."""
 
     def __init__(self, folder: Path, config: Config, seed: int, runs: Path) -> None:
-        """`folder`: for configurations and output; `runs`: for recordings; `config` has the plan to run."""
-        super().__init__(folder, config, runs)
-        self._seed = seed
-        self._operator = Operator()
+        """As for other studies; `config` has the plan to run."""
+        super().__init__(folder, config, seed, runs)
+        self._watch = ReactionWatch()
         self.usable = True
 
-    def __enter__(self) -> Self:
-        """Start the processes; raises CliError if one does not start."""
-        try:
-            self.start_rig("--seed", str(self._seed))
-            self.start(record=True)
-            self.start_page()
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
-        return self
+    def take(self, message: Message) -> None:
+        """Process one message of daemon or rig."""
+        super().take(message)
+        self._watch.take(message.topic, message.fields)
 
-    def _restart_daemon(self, watch: ReactionWatch, **environment: str) -> None:
-        """Start a daemon and wait for its first state; `watch` takes the messages until then."""
+    def _listen(self, seconds: float) -> None:
+        self.listen(time.monotonic() + seconds)
+
+    def _restart_daemon(self, **environment: str) -> None:
+        """Start a daemon and wait for its first state."""
         self.begin_daemon(**environment)
         self._operator = Operator()
-        if not self.wait_for_daemon(lambda message: self._take(watch, message)):
+        if not self.wait_for_daemon(self.take):
             raise not_started(self.children["daemon"])
         while not self._operator.state:
-            self._listen(watch, LOOK_S)
+            self._listen(LOOK_S)
             self.check_alive("daemon")
-
-    # ---- what an operator does ---------------------------------------------------------------------------
 
     def bring_to_motion(self) -> None:
         """Arm, start, resume or reset as needed until the palms turn fast; raises CliError after `PATIENCE_S`."""
-        watch = ReactionWatch()
-        t_end = time.monotonic() + PATIENCE_S
-        while not self._brisk(watch):
-            self._listen(watch, LOOK_S)
-            t = time.monotonic()
-            if t > t_end:
-                text = self.children["daemon"].error_output()
-                raise CliError(RIG_FAILED, f"the palms did not start to move: {self._operator.state}\n{text}")
-            command = self._operator.decide(t)
-            if command is not None:
-                self.client.ask(command)
+        self._watch = ReactionWatch()
+        self.wait(self._turns_fast, "the palms did not start to move", operate=True)
 
-    def _brisk(self, watch: ReactionWatch) -> bool:
-        last: TrueMotion | None = watch.motions[-1] if watch.motions else None
+    def _turns_fast(self) -> bool:
+        motions = self._watch.motions
         moves = self._operator.moves and self._operator.motion["segment"] > 0
         grave = {"hold", "stop"} & set(self._operator.state.get("severities", ()))
-        return last is not None and moves and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
-
-    def _listen(self, watch: ReactionWatch, seconds: float) -> None:
-        for message in self.subscriber.until(time.monotonic() + seconds):
-            self._take(watch, message)
-
-    def _take(self, watch: ReactionWatch, message: Message) -> None:
-        self._operator.take(message.topic, message.fields)
-        watch.take(message.topic, message.fields)
+        return bool(motions) and moves and not grave and max(map(abs, motions[-1].omega)) > BRISK_RAD_S
 
     # ---- a row -------------------------------------------------------------------------------------------
 
     def provoke(self, row: FaultRow) -> Reaction:
         """Inject a row's fault during fast motion, measure the reaction, undo the fault and resume; raises CliError."""
         if isinstance(row.act, WallClockStep):
-            self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
+            self._restart_daemon(PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
         before, kept = self.rig_status(), self._recorder()
-        watch = ReactionWatch()
+        watch = self._watch = ReactionWatch()
         wrong: list[str] = []
-        self._listen(watch, LOOK_S)
-        t_cause = self._do(row.act, watch, wrong)
-        reaction = self._watch(row, watch, t_cause)
+        self._listen(LOOK_S)
+        t_cause = self._do(row.act, wrong)
+        reaction = self._until_complete(row, t_cause)
+        self._watch = ReactionWatch()
         wrong += self._set_points(before, reaction)
         wrong += self._undo(row.act)
-        self._listen(ReactionWatch(), AFTERWARDS_S)  # a delayed line still has old bytes to deliver
+        self._listen(AFTERWARDS_S)  # a delayed line still has old bytes to deliver
         try:
             self.bring_to_motion()
         except CliError as error:
@@ -139,35 +104,34 @@ class Stand(Stack):
         t_asked = asked_at(row, t_cause, seen.noticed_s, seen.came_s)
         return replace(seen, why=ask(row, Path(kept["path"]), t_cause, t_asked))
 
-    def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
+    def _until_complete(self, row: FaultRow, t_cause: float) -> Reaction:
         """Watch until everything that the row expects has happened, and `AFTERWARDS_S` longer."""
         t_begin = time.monotonic()
         t_done = t_begin + WATCHED_MOST_S
         while time.monotonic() < t_done:
-            self._listen(watch, LOOK_S)
-            reaction = watch.reaction(row, t_cause)
+            self._listen(LOOK_S)
+            reaction = self._watch.reaction(row, t_cause)
             if t_done == t_begin + WATCHED_MOST_S and complete(row, reaction):
                 t_done = max(t_begin + WATCHED_LEAST_S, time.monotonic() + AFTERWARDS_S)
-        return watch.reaction(row, t_cause)
+        return self._watch.reaction(row, t_cause)
 
-    def _do(self, act: Act, watch: ReactionWatch, wrong: list[str]) -> float:
+    def _do(self, act: Act, wrong: list[str]) -> float:
         """Cause the fault; returns its time (s, monotonic clock)."""
         t = time.monotonic()
         match act:
-            case RowFault():
-                fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                t = float(self.ask_rig("inject", **fields)["t_on_s"])
+            case InjectedFault():
+                t = float(self.inject(act)["t_on_s"])
             case Pause():
                 number = self._number(act.process)
                 os.kill(number, signal.SIGSTOP)
                 time.sleep(act.seconds)
-                with contextlib.suppress(ProcessLookupError):  # the daemon may have ended it
+                with suppress(ProcessLookupError):  # the daemon may have ended it
                     os.kill(number, signal.SIGCONT)
             case Kill():
                 os.kill(self._number(act.process), signal.SIGKILL)
                 if act.process == "daemon":
-                    self._listen(watch, WATCHED_LEAST_S)
-                    self._restart_daemon(watch)
+                    self._listen(WATCHED_LEAST_S)
+                    self._restart_daemon()
             case FullDisk():
                 self._limit_recorder(Path(self._recorder()["path"]).stat().st_size)
             case TakenAddress():
@@ -178,18 +142,17 @@ class Stand(Stack):
 
     def _number(self, process: Process) -> int:
         """Process id of a child, or of the daemon's smoother."""
-        if process in ("daemon", "recorder", "page"):
+        if process != "smoother":
             return self.children[process].number
-        daemon = self.children["daemon"].number
-        for number in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
-            if "palmd.daemon.smoothing" in Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8"):
-                return int(number)
+        for module, number in self.helpers():
+            if module == "palmd.daemon.smoothing":
+                return number
         raise CliError(RIG_FAILED, "the daemon has no smoother")
 
     def _undo(self, act: Act) -> list[str]:
         """End the cause and restart ended processes; returns what went wrong."""
         match act:
-            case RowFault() if act.for_s is None:
+            case InjectedFault() if math.isinf(act.for_s):
                 self.ask_rig("clear", name=act.name, port=act.port)
             case Kill(process="daemon"):
                 self.client.ask("reset")  # the controller's fault, which the new daemon found
@@ -204,7 +167,7 @@ class Stand(Stack):
                 return self._gone("recorder-failed")
             case WallClockStep():
                 jumped = self._operator.state["timestamp"] - time.time()
-                self._restart_daemon(ReactionWatch())
+                self._restart_daemon()
                 return [] if abs(jumped - act.seconds) < CLOCKS_AGREE_S else ["the daemon's clock was not set"]
         return []
 
@@ -219,11 +182,10 @@ class Stand(Stack):
         return [f"the second daemon ended with {child.status}: {child.error_output()}"]
 
     def _gone(self, code: str) -> list[str]:
-        t_end = time.monotonic() + PATIENCE_S
-        while code in self._operator.state["faults"]:
-            if time.monotonic() > t_end:
-                return [f"{code} did not clear"]
-            self._listen(ReactionWatch(), LOOK_S)
+        try:
+            self.wait(lambda: code not in self._operator.state["faults"], f"{code} did not clear")
+        except CliError as error:
+            return [str(error).splitlines()[0]]
         return []
 
     def _limit_recorder(self, size_bytes: int) -> None:

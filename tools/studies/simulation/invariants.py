@@ -83,7 +83,7 @@ class Breach:
         return f"at {self.t:.4f} s: {self.name}: {self.what}"
 
 
-class Watch:
+class InvariantWatch:
     """See the module. The first breach is kept; `sometimes` counts what occurred."""
 
     def __init__(self, config: Config, causes: Sequence[Cause], arm: AdeptArm, *, autostart: bool) -> None:
@@ -138,7 +138,7 @@ class Watch:
 
     # ---- commands ----------------------------------------------------------------------------------------
 
-    def heard(self, client: int, payload: bytes, t: float) -> None:
+    def received(self, client: int, payload: bytes, t: float) -> None:
         """The daemon has received a message from a client."""
         self.digest.update(payload)
         try:
@@ -231,7 +231,7 @@ class Watch:
         if apart > STILL_M:
             self._break(t, "no motion unless commanded", f"a set-point {apart * 1e3:.3f} mm from the one before")
 
-    def said(self, frames: Sequence[bytes], t: float) -> None:
+    def published(self, frames: Sequence[bytes], t: float) -> None:
         """The daemon has published."""
         topic = _TOPIC[frames[0].decode()]
         if topic is LOOP:

@@ -1,4 +1,4 @@
-"""Test stand of a soak: rig, daemon, recorder and page as in a demo, acts on them, and their messages."""
+"""Processes of a soak as in a demo, acts on them, and their messages."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import json
 import shutil
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import msgpack
 import zmq
@@ -22,16 +21,14 @@ from palmd.bus.subscriber import Message, Subscriber
 from palmd.config.two_palms import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped
-from palmd.harness.operator import Operator
-from palmd.harness.stack import ANSWER_S, START_S, Stack
+from palmd.harness.stack import ANSWER_S
 from palmd.view.http_guard import SOCKET
-from tools.studies.soak_fault_injection import Act, InjectedFault, OperatorCommand, Visitor
+from tools.studies.soak_fault_injection import Act, OperatorCommand, Visitor
 from tools.studies.soak_findings import SoakWatch
+from tools.studies.study_processes import LOOK_S, InjectedFault, StudyProcesses
 
-PATIENCE_S = 40.0  # longest time to a requested state
 STOPPED_S = 2.0  # longest time to a stop
 RECORDED_S = 1800.0  # longest time to pack the recording of an hour
-LOOK_S = 0.02  # polling period
 SAMPLE_S = 5.0  # period of sampling the processes
 FALLEN_S = 5.0  # from a fall of the object to its exchange
 QUIET_S = 2.5  # idle time at the end, two periods of palm/loop
@@ -43,35 +40,21 @@ MALFORMED = b"\xc1 no command"
 ASKED_EVERY_S = 0.05  # longest wait for more answers
 
 
-class SoakStand(Stack):
-    """See the module; a context manager that starts and ends the processes. `finish` returns the recordings."""
+class SoakProcesses(StudyProcesses):
+    """See the module. `finish` returns the recordings."""
 
-    def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
-        """`folder`: for configurations and the processes' output; `runs`: for recordings."""
-        super().__init__(folder, config, runs)
-        self._seed = seed
+    def __init__(self, folder: Path, config: Config, seed: int, runs: Path) -> None:
+        """As for other studies."""
+        super().__init__(folder, config, seed, runs)
         self.watch = SoakWatch()
         self.malformed = 0  # malformed commands sent
         self.unserved: list[str] = []  # visitors that were not served
         self._plans = [shipped(plan) for plan in PLANS]
-        self._operator = Operator()
         self._t_resume = 0.0  # until when the operator leaves another one's command alone; 0: not
         self._t_sampled = self._t_fallen = 0.0
         self._visitors: list[threading.Thread] = []
         self._lock = threading.Lock()
         self._over = threading.Event()
-
-    def __enter__(self) -> Self:
-        """Start the processes; raises CliError if one does not start."""
-        try:
-            self.start_rig("--seed", str(self._seed))
-            self.start(record=True)
-            self._wait(lambda: bool(self.watch.last_state), START_S, "palmd run did not start")
-            self.start_page()
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -86,65 +69,40 @@ class SoakStand(Stack):
     def live(self, t_end: float) -> None:
         """Listen and operate the rig until t_end (s); raises CliError if a process ends."""
         while (t := time.monotonic()) < t_end:
-            self._listen(min(t + LOOK_S, t_end))
-            self._operate(t)
+            self.listen(min(t + LOOK_S, t_end))
+            self.operate(t)
 
     def bring_to_motion(self) -> None:
         """Arm, start, resume or reset as needed until the plan runs; raises CliError after `PATIENCE_S`."""
         self._t_resume = 0.0
         self._operator.resume()
-        self._wait(self._moves, PATIENCE_S, "the palms did not start to move", operate=True)
+        self.wait(lambda: self._operator.moves, "the palms did not start to move", operate=True)
 
-    def _moves(self) -> bool:
-        return self._operator.moves
-
-    def _wait(self, holds: Callable[[], bool], patience_s: float, otherwise: str, *, operate: bool = False) -> None:
-        t_end = time.monotonic() + patience_s
-        while not holds():
-            t = time.monotonic()
-            if t > t_end:
-                raise CliError(
-                    RIG_FAILED,
-                    f"{otherwise}: {self.watch.state}\n{self.children['daemon'].error_output()}".strip(),
-                )
-            self._listen(t + LOOK_S)
-            if operate:
-                self._operate(t)
-
-    def _listen(self, t_end: float) -> None:
-        for message in self.subscriber.until(t_end):
-            self.watch.take(message)
-            self._operator.take(message.topic, message.fields)
-            if message.topic == "palm/loop":
-                self._look(message)
+    def listen(self, t_end: float) -> None:
+        """As for other studies; raises CliError if a process has ended."""
+        super().listen(t_end)
         self.check_alive()
 
-    def _look(self, loop: Message) -> None:
-        """Update the rig's status each second, and sample the processes each `SAMPLE_S`."""
+    def take(self, message: Message) -> None:
+        """Process one message; with each `palm/loop`, look at the rig, and each `SAMPLE_S` at the processes."""
+        super().take(message)
+        self.watch.take(message)
+        if message.topic != "palm/loop":
+            return
         t = time.monotonic()
         self.watch.on_palms = self.rig_status()["on_palms"]
         if t - self._t_sampled >= SAMPLE_S:
             self._t_sampled = t
-            for name, number in self._processes().items():
+            numbers: dict[str, int] = {name: child.number for name, child in self.children.items()}
+            numbers |= {HELPERS.get(module, module): number for module, number in self.helpers()}
+            for name, number in numbers.items():
                 sample = _sampled(number)
                 if sample is not None:
                     rss_mb, descriptors, threads = sample
-                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else rss_mb
+                    rss_mb = message.fields["rss_mb"] if name == "daemon" else rss_mb
                     self.watch.sample(name, t, rss_mb, descriptors, threads)
 
-    def _processes(self) -> dict[str, int]:
-        """Process ids of the children and of the daemon's helpers, by name."""
-        found: dict[str, int] = {name: child.number for name, child in self.children.items()}
-        daemon = found["daemon"]
-        with suppress(OSError):
-            for text in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
-                words = Path(f"/proc/{text}/cmdline").read_bytes().decode(errors="replace").split("\0")
-                if "palmd.daemon.worker_main" in words:
-                    module = words[words.index("palmd.daemon.worker_main") + 1]
-                    found[HELPERS.get(module, module)] = int(text)
-        return found
-
-    def _operate(self, t: float) -> None:
+    def operate(self, t: float) -> None:
         """Act as the operator, except for a while after another operator's command."""
         if t < self._t_resume:
             return
@@ -156,12 +114,7 @@ class SoakStand(Stack):
         elif t - self._t_fallen > FALLEN_S:
             self._t_fallen = t
             self.ask_rig("new_object")
-        command = self._operator.decide(t)
-        if command is not None:
-            self._command(command)
-
-    def _command(self, name: str) -> bool:
-        return bool(self.client.ask(name)["ok"])
+        super().operate(t)
 
     # ---- acts --------------------------------------------------------------------------------------------
 
@@ -169,13 +122,12 @@ class SoakStand(Stack):
         """Perform an act, visits in a thread; raises CliError if the rig refuses."""
         match act:
             case InjectedFault():
-                how = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
-                self.ask_rig("inject", **how)
+                self.inject(act)
             case OperatorCommand(command="plan"):
                 self._change_plan()
                 self._t_resume = time.monotonic() + act.for_s
             case OperatorCommand():
-                self._command(act.command)
+                self.client.ask(act.command)
                 self._t_resume = time.monotonic() + act.for_s
             case Visitor():
                 visitor = threading.Thread(target=self._visit, args=(act,), name=act.who)
@@ -184,9 +136,9 @@ class SoakStand(Stack):
 
     def _change_plan(self) -> None:
         """Stop and load the other plan; if a fault interferes the plan stays the same."""
-        self._command("stop")
+        self.client.ask("stop")
         with suppress(CliError):
-            self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms did not stop")
+            self.wait(lambda: self.watch.state == "ready", "the palms did not stop", STOPPED_S)
             if self.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
                 self._plans.reverse()
 
@@ -245,11 +197,11 @@ class SoakStand(Stack):
             visitor.join()
         with suppress(CliError):  # the final state is judged
             self.bring_to_motion()
-        self._command("stop")
+        self.client.ask("stop")
         with suppress(CliError):
-            self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms did not stop")
+            self.wait(lambda: self.watch.state == "ready", "the palms did not stop")
         end, t_quiet = self.watch.state, time.monotonic() + QUIET_S
-        self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "no palm/loop was received")
+        self.wait(lambda: self.watch.t_loop > t_quiet, "no palm/loop was received")
         return end, self.watch.loop
 
     def finish(self) -> list[Path]:

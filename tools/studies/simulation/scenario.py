@@ -35,7 +35,7 @@ PARTS: tuple[Part, ...] = ("between", "take in", "observe", "decide", "publish")
 
 
 @dataclass(frozen=True, slots=True)
-class Trick:
+class ScheduledFault:
     """A fault injected into the emulated rig, with strength and duration."""
 
     t: float
@@ -109,12 +109,12 @@ class Broken:
     for_s: float
 
 
-Happening = Trick | ClientRequest | Stall | Bytes | Slow | ClockStep | Restart | Broken
+RandomEvent = ScheduledFault | ClientRequest | Stall | Bytes | Slow | ClockStep | Restart | Broken
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """All parameters of one run. `kept` are the numbers of the `happenings` among those drawn.
+    """All parameters of one run. `kept` are the numbers of the `events` among those drawn.
 
     `eager_s`: period of the operator who restarts the motion; `latency_s`: delivery period of each port's adapter.
     `thorough`: with the real observer and plant. `trouble_s`: duration of the events; until `alone_s` only drawn
@@ -127,7 +127,7 @@ class Scenario:
     autostart: bool
     eager_s: float
     latency_s: tuple[float, ...]
-    happenings: tuple[Happening, ...]
+    events: tuple[RandomEvent, ...]
     kept: tuple[int, ...]
     thorough: bool = False
     trouble_s: float = TROUBLE_S
@@ -138,9 +138,9 @@ class Scenario:
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
         """The same run with these events only, by their numbers among those drawn."""
-        mine = dict(zip(self.kept, self.happenings, strict=True))
+        mine = dict(zip(self.kept, self.events, strict=True))
         some = tuple(number for number in sorted(set(kept)) if number in mine)
-        return replace(self, happenings=tuple(mine[number] for number in some), kept=some)
+        return replace(self, events=tuple(mine[number] for number in some), kept=some)
 
 
 PLANS = 4
@@ -162,7 +162,7 @@ def drawn(seed: int) -> Scenario:
     plan, autostart, eager_s = rng.randrange(PLANS), rng.random() < 0.1, rng.uniform(0.05, 0.8)
     latency_s = tuple(rng.choice((0.001, 0.002, 0.004)) for _ in PORTS)
     clients = 1 + rng.randrange(MOST_CLIENTS)
-    found: list[Happening] = []
+    found: list[RandomEvent] = []
     for _ in range(rng.randrange(1, 13)):
         t = rng.uniform(FIRST_S, TROUBLE_S - LONGEST_S)
         together = 1 if rng.random() < 0.6 else rng.randrange(2, 6)
@@ -173,14 +173,14 @@ def drawn(seed: int) -> Scenario:
         t = rng.uniform(FIRST_S, TROUBLE_S)
         found += [_request(t + rng.uniform(0.0, BURST_S), rng.randrange(clients), rng) for _ in range(100)]
     found.sort(key=lambda each: each.t)
-    happenings = tuple(found)
-    numbers = tuple(range(len(happenings)))
+    events = tuple(found)
+    numbers = tuple(range(len(events)))
     thorough = seed % THOROUGH_EVERY == THOROUGH_EVERY - 1
     alone_s = TROUBLE_S if autostart else 0.0
-    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, alone_s=alone_s)
+    return Scenario(seed, plan, autostart, eager_s, latency_s, events, numbers, thorough, alone_s=alone_s)
 
 
-def _one(t: float, rng: random.Random) -> Happening:
+def _one(t: float, rng: random.Random) -> RandomEvent:
     """Bytes that are no command."""
     short = rng.choice((0.03, 0.3, 1.0, LONGEST_S))
     for_s = rng.uniform(0.2, 1.0) * short
@@ -189,7 +189,7 @@ def _one(t: float, rng: random.Random) -> Happening:
             trick = INJECTABLE_FAULTS[rng.choice(sorted(INJECTABLE_FAULTS))]
             port = rng.choice(trick.ports) if trick.ports else None
             strength = min(trick.strength * rng.choice((0.2, 1.0, 3.0)), 1.0 if trick.name in ("drop", "garble") else 9)
-            return Trick(t, trick.name, port, strength, for_s)
+            return ScheduledFault(t, trick.name, port, strength, for_s)
         case "bytes":
             stray = rng.randbytes(rng.randrange(1, 40))
             return Bytes(t, rng.choice(PORTS), rng.choice(("doubled", "lost", "stray")), stray)

@@ -26,7 +26,7 @@ _BIN_RAD = math.tau / BINS
 
 
 @dataclass(slots=True)
-class ExplorationWatch:
+class ExplorationStatistics:
     """Statistics of an exploration; `reachable` and `touched` are marks on the truth's bins of outward normals.
 
     `curvatures` of the palms (1/m): normals are those of the tangents at the contacts. t_enough: when the coverage of

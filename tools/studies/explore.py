@@ -1,4 +1,9 @@
-"""Unknown objects explored in simulation without real links, compared with random moves."""
+"""Unknown objects explored on the emulated rig in simulated time, compared with random moves.
+
+Each run puts an object, drawn by its kind and seed, on the palms of a simulated closed loop. Measured are the share of
+the reachable normals that the palms touch, the time until 95 % are touched, the error of the last valid outline, and
+lost contacts.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,6 @@ import numpy as np
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import Config, DrawnImperfections, rig_description
 from palmd.console.configured import configured
-from palmd.daemon.exploration_requests import Decider
 from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
@@ -22,15 +26,14 @@ from palmd.motion.check import motion_limits
 from palmd.motion.reach import surface_limits
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
-from palmd.rig.shapes import KINDS, Body, Kind
-from palmd.rig.simulate import CALIBRATION
+from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
-from tools.closed_loop import InlineExplorer, TwoPalmsLoop
+from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, count, errors, percent, quantile, quantiles, runs, shares
-from tools.studies.exploring_plans import STRATEGIES, Strategy, plan
-from tools.studies.exploring_watch import EDGE_M, ExplorationWatch
+from tools.studies.exploration_plans import STRATEGIES, Strategy, plan
+from tools.studies.exploration_statistics import EDGE_M, ExplorationStatistics
 from tools.studies.harness import Study, result
 
 GOAL = 1.0
@@ -86,19 +89,15 @@ class ExploringRow(ExploringTask):
     took_s: float = math.nan
 
     @property
-    def mishap(self) -> bool:
+    def contact_lost(self) -> bool:
         """Whether a contact was lost or reached the end of a pad."""
         return self.losses > 0 or self.edge_s > 0.0
 
 
 def run(task: ExploringTask) -> ExploringRow:
     """Explore and score."""
-    return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
-
-
-def explored(task: ExploringTask, config: Config, body: Body | None = None) -> ExploringRow:
-    """One run on the configured rig, with `body` on its palms or one drawn by the task's kind and seed."""
     begin = time.process_time()
+    config = load_config(task.config) if task.config else default_config(task.imperfections)
     rig = rig_description(config)
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, time_limit_s=task.seconds)
@@ -108,18 +107,16 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         task.seed,
         kind=task.kind,
         smoothing=Simulated(rig) if explores else None,
-        explorer=InlineExplorer(Decider(rig, task.seed)),
-        body=body,
     )
     true_h = np.array(loop.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
-    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
+    watch = ExplorationStatistics(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
     loop.start()
     watch.t_start = loop.t
     before = loop.world.status()["contact_losses"]
     ended_s = _watched(loop, watch, task.seconds)
     status = loop.world.status()
-    result_fields = loop.core.exploring.summary() if explores else None
+    summary = (loop.core.exploring.summary() if explores else None) or {"reason": ""}
     score = watch.outline_score(true_h) if explores else None
     tick_s = 1.0 / config.loop.rate_hz
     return result(
@@ -130,7 +127,7 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         enough_s=watch.t_enough,
         valid_s=watch.t_valid,
         ended_s=ended_s,
-        reason=result_fields["reason"] if result_fields else "",
+        reason=summary["reason"],
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
         band_m=max(watch.shape["h_sd_m"]) if explores and watch.shape else math.nan,
@@ -144,7 +141,7 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     )
 
 
-def _watched(loop: TwoPalmsLoop, watch: ExplorationWatch, seconds: float) -> float:
+def _watched(loop: TwoPalmsLoop, watch: ExplorationStatistics, seconds: float) -> float:
     """Run until `SETTLE_S` after the exploration ended; returns its end (s since the start), NaN without one."""
     exploring, ended = False, math.nan
     for instant in loop.run(seconds):
@@ -184,21 +181,14 @@ def draw(arguments: argparse.Namespace) -> Sequence[ExploringTask]:
     ]
 
 
-def remarks(rows: Sequence[ExploringRow]) -> list[str]:
-    """A line for each exploration with too little coverage, a mishap or an error."""
-    return [
-        f"{row.kind} {row.seed}: {remark}" for row in rows if row.strategy == "explore" and (remark := remark_of(row))
-    ]
-
-
-def remark_of(row: ExploringRow) -> str:
-    """The remark about a run, empty if all is well."""
-    if row.error:
-        return row.error
+def remark(row: ExploringRow) -> str:
+    """On an exploration with too little coverage, a lost contact or a refused set-point."""
+    if row.strategy != "explore":
+        return ""
     parts = []
-    if row.strategy == "explore" and math.isnan(row.enough_s):
+    if math.isnan(row.enough_s):
         parts.append(f"touched {row.coverage:.0%} of the {row.reachable:.0%} that can be reached ({row.reason})")
-    if row.mishap:
+    if row.contact_lost:
         parts.append(
             f"contact lost {row.losses} times, {row.parted_s:.2f} s; at a pad's end for {row.edge_s:.2f} s"
             + ("" if row.recovered else "; not recovered")
@@ -229,8 +219,8 @@ COLUMNS: list[tuple[str, Cell]] = [
     ("ended by itself after, median / p90 (s)", two(lambda row: row.ended_s)),
     ("whole outline: largest error, median / p90 (mm)", two(lambda row: row.hausdorff_m, 1e3)),
     ("whole outline: RMS, median / p90 (µm)", two(lambda row: row.e_h_m, 1e6)),
-    ("contact lost or pad's end reached (runs)", count(lambda row: row.mishap)),
-    ("of these not recovered", count(lambda row: row.mishap and not row.recovered)),
+    ("contact lost or pad's end reached (runs)", count(lambda row: row.contact_lost)),
+    ("of these not recovered", count(lambda row: row.contact_lost and not row.recovered)),
     ("limits or workspace violated (runs)", count(lambda row: row.outside + row.refused > 0)),
     ("processor time of a run, median / p90 (s)", two(lambda row: row.took_s)),
 ]
@@ -244,7 +234,7 @@ STUDY = Study(
     by=lambda row: row.kind if row.strategy == "explore" else f"{row.kind}, {row.strategy}",
     columns=COLUMNS,
     across=True,
-    remarks=remarks,
+    remark=remark,
     panels=[
         ("time to 95 % of what can be reached (s)", lambda row: row.enough_s, 1.0, (), False),
         ("touched of what can be reached in the end (%)", lambda row: row.coverage, 100.0, (), False),
@@ -258,6 +248,5 @@ STUDY = Study(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     harness.add_arguments(parser, runs=10, seconds_each=60.0, output="explore", kinds=KINDS)
-    add = parser.add_argument
-    add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
-    add("--config", type=Path, help="the rig, with its imperfections; default: VersaPads and an arm")
+    harness.add_imperfections(parser)
+    parser.add_argument("--config", type=Path, help="the rig, with its imperfections; default: VersaPads and an arm")

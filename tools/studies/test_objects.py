@@ -20,22 +20,19 @@ import numpy as np
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import DrawnImperfections, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.harness.scorer import Scorer
-from palmd.observer import Simulated, make
+from palmd.observer import Simulated
 from palmd.quantities import ESTIMATE, UNEXPLAINED
 from palmd.rig.shapes import Body, random_body
-from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
-from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
 from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness, object_logs
 from tools.studies.cells import Cell, mean, most, runs, total
-from tools.studies.exploring_plans import plan
-from tools.studies.harness import Study, kinds_of, result, seeds_of
-from tools.studies.montecarlo import answers
+from tools.studies.exploration_plans import plan
+from tools.studies.harness import Study, result
+from tools.studies.object_logs import SharpTask
 from tools.studies.real_objects import REAL_OBJECTS, real_object
-from tools.studies.scoring import FAR
+from tools.studies.scoring import FAR, ObserverAnswers, replayed
 
 LUMP = "lump"  # a smooth body as in other studies
 LOGGED: tuple[str, ...] = tuple(kind for kind in object_logs.KINDS if kind not in REAL_OBJECTS)
@@ -44,6 +41,7 @@ OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3  # every third body has an eccentric ce
 MUCH = 0.01  # share of wrong ticks from which a run gets a remark
 LIVE_S = 15.0  # duration of a run
 _STREAM = 18  # random stream of the bodies, distinct from the motion's
+_RADII = tuple(f"{name}_m" for name in RADII)
 _MARGIN_S = 2.0  # by which the moves last longer than the run
 
 
@@ -87,70 +85,46 @@ def body_of(task: ObjectTask) -> Body:
 def run(task: ObjectTask) -> ObjectRow:
     """Run the closed loop, or replay a log, and score it."""
     if task.kind in LOGGED:
-        return _replayed(task)
-    config = default_config(task.imperfections)
-    moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
-    smoothing = Simulated(rig_description(config))
-    loop = TwoPalmsLoop(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
-    loop.start()
-    scorer, ticks, valid, wrong, far, most, refusals = Scorer(loop.t), 0, 0, 0, 0, 0.0, 0
-    before = loop.world.status()["contact_losses"]
-    for instant in loop.run(task.seconds):
-        estimate = instant.messages[ESTIMATE.name]
-        ticks += 1
-        refusals += UNEXPLAINED.name in instant.messages
-        if scorer.take(instant.t, estimate):
-            misses = {name: abs(estimate[name] - instant.truth[name]) for name in (f"{radius}_m" for radius in RADII)}
-            error = max(misses.values())
-            valid += 1
-            far += any(miss > FAR * estimate["sd"][name] for name, miss in misses.items())
-            wrong += error > WRONG_M
-            most = max(most, error)
-    status = loop.world.status()
-    return result(
-        ObjectRow,
-        task,
-        valid=valid / ticks,
-        wrong=wrong / ticks,
-        most_m=most if valid else math.nan,
-        refusals=refusals,
-        losses=int(status["contact_losses"] - before),
-        far=far / ticks,
-    )
-
-
-def _replayed(task: ObjectTask) -> ObjectRow:
-    logged = object_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
-    log, truth, _ = object_logs.simulated(logged)
-    live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
+        log, truth, _ = object_logs.simulated(SharpTask(task.kind, task.seed, task.seconds, task.imperfections))
+        live, counts = replayed(log, truth), dict[str, int]()
+    else:
+        live, counts = _moved(task)
     misses = np.abs(live.r_error)
-    error = misses.max(axis=1)
     return result(
         ObjectRow,
         task,
         valid=float(live.valid.mean()),
         wrong=float(live.wrong.mean()),
-        most_m=float(error[live.valid].max()) if live.valid.any() else math.nan,
+        most_m=float(misses[live.valid].max()) if live.valid.any() else math.nan,
         far=float((live.valid & (misses > FAR * live.r_sd).any(axis=1)).mean()),
+        **counts,
     )
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[ObjectTask]:
-    """The requested number of runs of each kind, all kinds with the same seeds."""
-    rest = arguments.seconds or LIVE_S, arguments.imperfections
-    return [ObjectTask(kind, seed, *rest) for seed in seeds_of(arguments) for kind in kinds_of(arguments, KINDS)]
+def _moved(task: ObjectTask) -> tuple[ObserverAnswers, dict[str, int]]:
+    """Estimates in the closed loop on random moves, and counts of the row."""
+    config = default_config(task.imperfections)
+    moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
+    smoothing = Simulated(rig_description(config))
+    loop = TwoPalmsLoop(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
+    loop.start()
+    t_start, before, rejections = loop.t, loop.world.status()["contact_losses"], 0
+    rows = list[tuple[float, ...]]()
+    for instant in loop.run(task.seconds):
+        rejections += UNEXPLAINED.name in instant.messages
+        estimate, truth = instant.messages[ESTIMATE.name], instant.truth
+        errors = (estimate[name] - truth[name] for name in _RADII)
+        rows.append((instant.t - t_start, estimate["valid"], *errors, *(estimate["sd"][name] for name in _RADII)))
+    t, valid, *each = np.array(rows, dtype=np.float64).T
+    answers = ObserverAnswers(t, valid > 0.0, np.column_stack(each[:2]), np.column_stack(each[2:]))
+    losses = int(loop.world.status()["contact_losses"] - before)
+    return answers, {"refusals": rejections, "losses": losses}
 
 
-def remarks(rows: Sequence[ObjectRow]) -> list[str]:
-    """The totals without the smooth lump, then a line for each run that failed or was often wrong."""
+def totals(rows: Sequence[ObjectRow]) -> list[str]:
+    """The columns for all objects together, without the smooth lump."""
     some = [row for row in rows if row.kind != LUMP and not row.error]
-    lines = [f"all objects: {', '.join(f'{title} {cell(some)}' for title, cell in COLUMNS)}"] if some else []
-    for row in rows:
-        if row.error:
-            lines.append(f"{row.kind} {row.seed}: {row.error}")
-        elif row.wrong > MUCH:
-            lines.append(f"{row.kind} {row.seed}: wrong for {row.wrong:.1%}, by up to {1e3 * row.most_m:.2f} mm")
-    return lines
+    return [f"all objects: {', '.join(f'{title} {cell(some)}' for title, cell in COLUMNS)}"] if some else []
 
 
 COLUMNS: list[tuple[str, Cell]] = [
@@ -164,15 +138,17 @@ COLUMNS: list[tuple[str, Cell]] = [
     ("contacts lost", total(lambda row: row.losses)),
 ]
 
+OFFLINE = object_logs.OFFLINE
 LIVE = Study(
-    "things",
-    draw,
+    "test objects",
+    harness.of_kinds(KINDS, lambda kind, seed, of: ObjectTask(kind, seed, of.seconds or LIVE_S, of.imperfections)),
     run,
     ObjectRow,
     order=lambda row: (KINDS.index(row.kind), row.seed),
     by=lambda row: row.kind,
     columns=COLUMNS,
-    remarks=remarks,
+    totals=totals,
+    remark=lambda row: f"wrong for {row.wrong:.1%}, by up to {1e3 * row.most_m:.2f} mm" if row.wrong > MUCH else "",
 )
 
 
@@ -184,8 +160,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--offline", action="store_true", help="reconstruct logs of corners, dents and dry lumps")
     add("--explored", action="store_true", help="reconstruct recordings of explorations in the emulated rig")
     add("--plan", type=Path, metavar="FILE", help="reconstruct recordings of a motion plan in the emulated rig")
-    parser.add_argument("--imperfections", choices=tuple(CALIBRATION), default="none",
-        help="imperfections of the rig, drawn by the seed (default: %(default)s)")  # fmt: skip
+    harness.add_imperfections(parser)
 
 
 def conduct(arguments: argparse.Namespace) -> int:
@@ -195,4 +170,4 @@ def conduct(arguments: argparse.Namespace) -> int:
     if arguments.kind not in (*known, harness.ALL):
         option = "without --offline, --explored and --plan" if offline else "with --offline, --explored or --plan"
         raise CliError(BAD_INPUT, f"--kind {arguments.kind} is only possible {option}; here use {', '.join(known)}")
-    return object_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)
+    return OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)

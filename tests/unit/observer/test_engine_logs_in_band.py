@@ -1,0 +1,111 @@
+"""Logs of a physics engine (Drake, exactly known rigs) on which the law of friction or a dither misled estimates."""
+
+from __future__ import annotations
+
+import json
+import lzma
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palmd.events import Improvement
+from palmd.model import shape, shape_map
+from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.data_segment import data_segments
+from palmd.observer.incremental import IncrementalSmoother
+from palmd.observer.initialiser import attempts_for
+from palmd.observer.outline import gauge_free_sd
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.search import Search
+from palmd.observer.smoothing import Session
+from palmd.observer.stuck_palms import dithered, without_dithered_forces
+from palmd.record.eventlog import EventLog, read_log
+from palmd.score import score_outline
+
+DATA = Path(__file__).parents[2] / "data"
+
+
+def logged(name: str, folder: Path) -> tuple[EventLog, dict[str, Any]]:
+    path = folder / "run.jsonl"
+    path.write_bytes(lzma.decompress((DATA / f"{name}.jsonl.xz").read_bytes()))
+    return read_log(path), json.loads((DATA / f"{name}.truth.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def antiphase(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventLog, dict[str, Any]]:
+    """Palms that vibrate in antiphase, μ 0.25: contacts hop from 2 to 3 s."""
+    return logged("drake-antiphase", tmp_path_factory.mktemp("logs"))
+
+
+@pytest.fixture(scope="module")
+def dithered_log(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventLog, dict[str, Any]]:
+    """Palms without vibration, dithered by 0.1° at 10 Hz."""
+    return logged("drake-dithered", tmp_path_factory.mktemp("logs"))
+
+
+def test_estimates_before_confirmation_are_no_surer_than_the_law_of_friction(antiphase) -> None:
+    """Without the law's discrepancy they are up to 6.6σ off."""
+    log, truth = antiphase
+    smoother, start, events = IncrementalSmoother(log.rig), log.events[0].t_sample, list(log.events)
+    theta = (np.arange(NORMAL_BINS) + 0.5) * (2 * np.pi / NORMAL_BINS)
+    z = list[float]()
+    for until in (2.5, 3.3, 4.2, 5.1):
+        smoother.add(Session(1, start), [each for each in events if each.t_sample < start + until])
+        events = [each for each in events if each.t_sample >= start + until]
+        answer = smoother.answer()
+        if not isinstance(answer, Improvement):
+            continue
+        outline = slice(shape_map.Z.SHAPE, len(answer.x))
+        coefficients, spread = answer.x[outline], answer.spread[outline]
+        order = (len(coefficients) - 1) // 2
+        touched = theta[answer.touched]
+        sd = gauge_free_sd(touched, touched, coefficients, answer.P[outline, outline] + spread @ spread.T)
+        score = score_outline(theta, shape.basis(theta, order) @ coefficients, answer.touched, np.array(truth["h_m"]))
+        z.append(score.e_h / float(np.sqrt(np.mean(sd**2))))
+    assert len(z) >= 3
+    assert max(z) < 3.0
+
+
+def test_forces_are_uncertain_where_contacts_hop(antiphase) -> None:
+    log, _ = antiphase
+    (segment,) = data_segments(log.events)
+    search = Search(segment.until(segment.start + 4.0), log.rig)
+    found = search.blind(attempts_for(log.rig)[0], 0)
+    assert found is not None
+    smoother = search.smoother(found.record)
+    record = smoother.with_discrepancy(found.fits[0].guess, hopping_only=True)
+    hops = record.discrepancy[record.force_step] > 0.0
+    assert 0.02 < hops.mean() < 0.3
+    assert not record.force_discrepancy[~hops].any()
+    missed = (record.force_value - smoother.forces(found.fits[0].guess))[hops]
+    by_noise, by_law = (
+        np.mean(missed**2 / each[hops]) for each in (record.force_variance, record.total_force_variance)
+    )
+    assert by_law < by_noise - 0.2
+
+
+def test_a_dithered_object_is_estimated_within_its_bands(dithered_log) -> None:
+    log, truth = dithered_log
+    result = reconstruct(log.events, log.rig)
+    assert result.converged, result.reason
+    score = score_outline(result.theta, result.h, result.touched, np.array(truth["h_m"]))
+    assert score.e_h < 3.0 * np.sqrt(np.mean(result.h_sd[result.touched] ** 2))
+    for value, sd, true in (
+        (result.mu, result.mu_sd, truth["mu"]),
+        (result.rho, result.rho_sd, truth["rho_m"]),
+        (result.mass, result.mass_sd, truth["mass_kg"]),
+    ):
+        assert abs(value - true) < 3.0 * sd
+
+
+def test_only_quick_reversals_of_the_palms_are_a_dither(dithered_log, antiphase) -> None:
+    (segment,) = data_segments(dithered_log[0].events)
+    record = Search(segment, dithered_log[0].rig).record
+    reversals = dithered(record)
+    assert 20 < len(reversals) < 120
+    counted = without_dithered_forces(record).force_weight > 0.0
+    assert 0.7 < counted.mean() < 0.99
+    (segment,) = data_segments(antiphase[0].events)
+    assert not len(dithered(Search(segment, antiphase[0].rig).record)), "rocking alone"
