@@ -1,5 +1,7 @@
 """The guided first recording as a person at a terminal goes through it, with slips and Ctrl-C, on an emulated rig."""
 
+from contextlib import ExitStack
+
 import msgpack
 import pytest
 import yaml
@@ -42,6 +44,12 @@ class Hand:
     def __init__(self, rig):
         self._client, self._truth = Client(rig.found["control"]), rig.found["truth"]
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._client.close()
+
     def take_out(self):
         self._client.do("inject", name="lift")
 
@@ -67,19 +75,18 @@ class Hand:
 
 @pytest.fixture
 def rig_with(tmp_path):
-    started = []
+    """Starts a rig with a hand at it."""
+    with ExitStack() as started:
 
-    def start(*arguments):
-        folder = tmp_path / "rig"
-        folder.mkdir()
-        (tmp_path / "short.yaml").write_text(yaml.safe_dump(PLAN))
-        rig = LoneRig(folder, SETTINGS, "--seed", 3, *arguments)
-        started.append(rig)
-        return rig
+        def start(*arguments):
+            folder = tmp_path / "rig"
+            folder.mkdir()
+            (tmp_path / "short.yaml").write_text(yaml.safe_dump(PLAN))
+            rig = LoneRig(folder, SETTINGS, "--seed", 3, *arguments)
+            started.callback(rig.stop)
+            return rig, started.enter_context(Hand(rig))
 
-    yield start
-    for rig in started:
-        rig.stop()
+        yield start
 
 
 def slips(terminal, prompt, wrong, complaint, right):
@@ -93,8 +100,8 @@ def slips(terminal, prompt, wrong, complaint, right):
 
 
 def test_a_calibration_by_hand_is_kept_when_the_capture_ends_before_the_first_object(tmp_path, rig_with):
-    rig = rig_with("--cylinder", "24,150", "--cylinder", "15,60")
-    hand, bundle = Hand(rig), tmp_path / "bundle"
+    rig, hand = rig_with("--cylinder", "24,150", "--cylinder", "15,60")
+    bundle = tmp_path / "bundle"
     with Typist("record", "capture", rig.config, "--plan", tmp_path / "short.yaml", "-o", bundle) as terminal:
         slips(terminal, "The cylinder's diameter", ("", "forty", "-48", "4"), "it must be", "48")
         slips(terminal, "Diameter of a second cylinder", ("wide", "45"), "it must be", "30")
@@ -126,8 +133,8 @@ def measured(terminal, hand, wrong=()):
 
 
 def test_three_objects_by_hand_with_slips_and_interruptions_are_all_in_the_bundle(tmp_path, rig_with):
-    rig = rig_with()
-    hand, bundle, plan = Hand(rig), Bundle.new(tmp_path / "bundle"), tmp_path / "short.yaml"
+    rig, hand = rig_with()
+    bundle, plan = Bundle.new(tmp_path / "bundle"), tmp_path / "short.yaml"
     bundle.begin(load_config(rig.config), plan, emulated=False)
     again = ("record", "capture", "--resume", bundle.folder)
 

@@ -109,7 +109,11 @@ def test_the_largest_error_covers_untouched_normals_too():
     score = watch(shape=shape).outline_score(true_h)
     assert score.max_error == pytest.approx(2e-4, rel=0.02)
     assert score.e_h == pytest.approx(2e-4 / math.sqrt(360), rel=0.05)
+    assert watch(shape=shape).largest_sigmas(true_h) == pytest.approx(20.0, rel=0.02)
+    shape["h_sd_m"][100] = 1e-4
+    assert watch(shape=shape).largest_sigmas(true_h) == pytest.approx(2.0, rel=0.02)
     assert watch().outline_score(true_h) is None
+    assert math.isnan(watch().largest_sigmas(true_h))
 
 
 def test_an_outline_counts_only_while_the_estimate_is_valid():

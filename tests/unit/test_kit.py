@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 import shutil
 
 import numpy as np
@@ -15,6 +16,8 @@ from tools.tabletop.geometry import TABLETOP
 from tools.tabletop.mesh import Mesh, box, fits, inside, open_edges, overlaps, read_stl, turned
 from tools.tabletop.parts import STALL_NM, Choice, as_csv, parts_list
 
+M3_NUT_MM = 2.4
+"""Height of a nut, ISO 4032."""
 CUBE = box((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
 
 
@@ -60,6 +63,13 @@ def test_every_part_has_a_number_with_its_source_or_a_specification():
     rows = list(csv.DictReader(io.StringIO(as_csv(found))))
     assert len(rows) == sum(len(part.choices) for part in found.parts)
     assert all(row["source"] for row in rows if row["number"])
+
+
+def test_the_base_lies_flat_on_its_screws():
+    (screw,) = (part for part in parts_list().parts if part.name == "screw M3")
+    length = float(re.search(r"M3 × (\d+)", screw.choices[0].specification).group(1))
+    grip = TABLETOP.bracket_thickness + TABLETOP.base_thickness
+    assert grip - TABLETOP.nut_depth + M3_NUT_MM <= length <= grip, "through the nut, but not out of its pocket"
 
 
 def test_servos_are_strong_and_palms_stiff_enough():

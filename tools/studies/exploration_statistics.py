@@ -13,7 +13,7 @@ from palmd.events import FloatArray
 from palmd.messages import Fields
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.quantities import ESTIMATE, SHAPE
-from palmd.score import OutlineScore, score_shape
+from palmd.score import OutlineScore, score_shape, support_at
 from palmd.system.arcs import FLAT, tangents
 from palmd.system.mechanism import JOINTS, PALMS, normal_directions
 from tools.closed_loop import Instant
@@ -71,6 +71,14 @@ class ExplorationStatistics:
         if self.shape is None:
             return None
         return score_shape(self.shape, true_h, all_normals=True)
+
+    def largest_sigmas(self, true_h: FloatArray) -> float:
+        """Largest error of the last valid outline over its 1σ at that normal, NaN without an outline; see above."""
+        score = self.outline_score(true_h)
+        if score is None or self.shape is None:
+            return math.nan
+        theta, h, sd = (np.array(self.shape[name], dtype=np.float64) for name in ("theta_rad", "h_m", "h_sd_m"))
+        return float(np.max(np.abs(h - support_at(true_h, theta + score.rotation)) / sd))
 
     def _touch(self, truth: dict[str, Any]) -> None:
         self.on_both = all(truth[f"contact{palm}"] for palm in PALMS)

@@ -63,7 +63,8 @@ class ExploringRow(ExploringTask):
     error: the exception, without any other result. reachable: share of the normals that are reachable in stable poses
     within the limits; coverage: share of these that was touched. enough_s, valid_s: time from the start to coverage
     0.95 and to the first valid estimate; ended_s: when the explorer ended the exploration, with its reason.
-    hausdorff_m, e_h_m: largest and RMS error of the last valid outline over all normals; band_m: its largest 1σ.
+    hausdorff_m, e_h_m: largest and RMS error of the last valid outline over all normals; band_m: its largest 1σ;
+    sigmas: largest error over the 1σ at its normal.
     losses: number of lost contacts; parted_s, edge_s: time without both contacts, and with a contact at a pad's end;
     recovered: at the end both palms are touched and the estimate is valid. outside, refused: number of set-points
     outside the limits, and refused by the controller. took_s: processor time of the whole run (s). Only explorations
@@ -80,6 +81,7 @@ class ExploringRow(ExploringTask):
     hausdorff_m: float = math.nan
     e_h_m: float = math.nan
     band_m: float = math.nan
+    sigmas: float = math.nan
     losses: int = 0
     parted_s: float = 0.0
     edge_s: float = 0.0
@@ -131,6 +133,7 @@ def run(task: ExploringTask) -> ExploringRow:
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
         band_m=max(watch.shape["h_sd_m"]) if explores and watch.shape else math.nan,
+        sigmas=watch.largest_sigmas(true_h) if explores else math.nan,
         losses=status["contact_losses"] - before,
         parted_s=watch.parted * tick_s,
         edge_s=watch.at_edge * tick_s,
@@ -219,6 +222,7 @@ COLUMNS: list[tuple[str, Cell]] = [
     ("ended by itself after, median / p90 (s)", two(lambda row: row.ended_s)),
     ("whole outline: largest error, median / p90 (mm)", two(lambda row: row.hausdorff_m, 1e3)),
     ("whole outline: RMS, median / p90 (µm)", two(lambda row: row.e_h_m, 1e6)),
+    ("whole outline: largest error / 1σ, median / p90", two(lambda row: row.sigmas)),
     ("contact lost or pad's end reached (runs)", count(lambda row: row.contact_lost)),
     ("of these not recovered", count(lambda row: row.contact_lost and not row.recovered)),
     ("limits or workspace violated (runs)", count(lambda row: row.outside + row.refused > 0)),

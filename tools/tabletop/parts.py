@@ -155,6 +155,18 @@ palmd init my.yaml
 
 `tools/tabletop/loads.py` has the formulas; the tests check the limits.
 
+## Why no steppers
+
+A stepper driven by a text protocol, such as Grbl's, was considered and is not supported:
+
+- **It reports what it was told, not where it is.** After a lost step the reported angle is wrong, and palmd cannot
+  notice it, because set-point and report agree. The outline is then wrong too. A servo reports its encoder.
+- **The protocols are made for milling.** Grbl queues moves, while palmd replaces its goal every 10 ms. It recommends at
+  most 5 to 10 status reports a second, while palmd holds the motion when a report is 80 ms old. It has no watchdog:
+  when the host dies it finishes the queued moves.
+- **It takes more than two files.** Another make of servos takes two, because host, scripts and conformance test are
+  common to all ([devices](../reference/devices.md#how-to-add-a-kind)). A stepper needs its own of each.
+
 ## Sources
 
 {sources}

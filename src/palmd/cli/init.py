@@ -85,7 +85,7 @@ def or_word(word: str, meaning: Meaning, read: Callable[[str], float]) -> Callab
 PADS = {
     "versapad": "Interlink VersaPads on serial lines",
     "strip": "force-sensing strips with palmd's firmware",
-    "evdev": "touch devices of Linux: touchpads and touch screens",
+    "evdev": "touch devices of Linux: pressure trackpads, touchpads and touch screens",
     "taxels": "arrays of pressure sensors on serial lines",
 }
 ARMS = {
@@ -99,19 +99,20 @@ PORT = "/dev/palmd-pad{}"
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """A kind of pressure sensor array: description, allowed and default number of rows, and pitch."""
+    """A kind of pressure sensor array: description, allowed numbers of rows, and defaults."""
 
     meaning: str
     rows: tuple[int, ...]
     default_rows: int
     pitch_mm: float
+    width_mm: float
 
 
 _ST0001_ROWS = tuple(rows for rows in range(3, ST0001_TAXELS + 1) if ST0001_TAXELS % rows == 0)
 ARRAYS = {
-    "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", TSF85_ROWS, max(TSF85_ROWS), 4.5),
-    "st0001": Array("60 taxels polled by Modbus (Synria ST-00-01)", _ST0001_ROWS, 15, 4.0),
-    "text": Array("numbers that a microcontroller prints, a line for each reading", tuple(range(3, 65)), 20, 3.0),
+    "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", TSF85_ROWS, max(TSF85_ROWS), 4.5, 3.0),
+    "st0001": Array("60 taxels polled by Modbus (Synria ST-00-01)", _ST0001_ROWS, 15, 4.0, 2.8),
+    "text": Array("numbers that a microcontroller prints, a line for each reading", tuple(range(3, 65)), 20, 3.0, 2.0),
 }
 
 
@@ -124,6 +125,9 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield "counts_per_mm", Prompt("Its counts per mm, or reported: as reported by the device", REPORTED,
                                         or_word(REPORTED, REPORTED, number(1e-3, 1000)))  # fmt: skip
         yield "pressure", Prompt("Does it report a pressure, yes or no", "no", YES_OR_NO)
+        yield "pad_zero", Prompt("Distance in mm from the axis to where it counts 0, for some its middle", "0",
+                                 number(-1000, 1000))  # fmt: skip
+        yield "pad_end", Prompt("Distance in mm from the axis to its far end", f"{PALM_LENGTH_MM:g}", number(10, 500))
     if answers["pads"] == "taxels":
         yield from _array_questions(answers)
     if answers["pads"] == "strip":
@@ -149,6 +153,8 @@ def _array_questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]
     if answers["protocol"] == "text":
         yield "columns", Prompt("Number of columns across the palm", "4", whole(*range(1, 65)))
     yield "pitch", Prompt("Pitch of the taxels in mm", f"{array.pitch_mm:g}", number(0.1, 20))
+    yield "width", Prompt("Width in mm (standard deviation) of the pressure under a contact; at least half the pitch",
+                          f"{array.width_mm:g}", number(0.1, 20))  # fmt: skip
     yield "first_row", Prompt("Distance in mm from the axis to the middle of the first row", "1", number(0, 300))
 
 
@@ -171,7 +177,11 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
         rig["base_mm"] = [lengths[0], 0.0]
     pad: dict[str, Any] = {"kind": answers["pads"]}
     if answers["pads"] == "evdev":
-        pad |= {"zero_mm": 0.0, "pressure": answers["pressure"] == "yes"}
+        pad |= {
+            "zero_mm": answers["pad_zero"],
+            "length_mm": answers["pad_end"],
+            "pressure": answers["pressure"] == "yes",
+        }
         if answers["counts_per_mm"] != REPORTED:
             pad["counts_per_mm"] = answers["counts_per_mm"]
     if answers["pads"] == "strip":
@@ -184,11 +194,11 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _array(answers: Mapping[str, Any]) -> dict[str, Any]:
-    protocol, rows, pitch, first = (answers[key] for key in ("protocol", "rows", "pitch", "first_row"))
+    protocol, rows, pitch, width, first = (answers[key] for key in ("protocol", "rows", "pitch", "width", "first_row"))
     columns = {"tsf85": TSF85_COLUMNS, "st0001": ST0001_TAXELS // rows}.get(protocol) or answers["columns"]
     return {
-        "protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch, "zero_mm": first,
-        "length_mm": round(first + (rows - 0.5) * pitch, 3),
+        "protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch,
+        "contact_width_mm": width, "zero_mm": first, "length_mm": round(first + (rows - 0.5) * pitch, 3),
     }  # fmt: skip
 
 

@@ -2,11 +2,14 @@
 
 import io
 import itertools
+from pathlib import Path
 
 import pytest
 
 from palmd.cli import main
 from palmd.yamlfile import load_config
+
+TAXELS = Path(__file__).parents[3] / "config/taxels"
 
 
 def init(monkeypatch, path, lines, *arguments):
@@ -15,7 +18,11 @@ def init(monkeypatch, path, lines, *arguments):
 
 
 def lines(pads, arm, tilt="90", vibrate=""):
-    of_pads = {"evdev": ["20", "y"], "strip": ["3", "73.5"], "taxels": ["text", "20", "4", "3.5", "2"]}.get(pads, [])
+    of_pads = {
+        "evdev": ["20", "y", "-40", "80"],
+        "strip": ["3", "73.5"],
+        "taxels": ["text", "20", "4", "3.5", "2.2", "2"],
+    }.get(pads, [])
     return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", "100", "110", tilt, vibrate]
 
 
@@ -37,16 +44,22 @@ def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
         strip = config.pads.palm1
         assert (strip.zero_mm, strip.length_mm, strip.counts_per_mm) == (3.0, 76.5, 222.9)
     if pads == "evdev":
-        assert (config.pads.palm1.counts_per_mm, config.pads.palm1.pressure) == (20.0, True)
+        device = config.pads.palm1
+        assert (device.counts_per_mm, device.pressure) == (20.0, True)
+        assert (device.zero_mm, device.length_mm) == (-40.0, 80.0)
     if pads == "taxels":
         array = config.pads.palm1
         assert (array.protocol, array.rows, array.columns, array.pitch_mm) == ("text", 20, 4, 3.5)
-        assert (array.zero_mm, array.length_mm) == (2.0, 70.25)
+        assert (array.zero_mm, array.length_mm, array.contact_width_mm) == (2.0, 70.25, 2.2)
 
 
 @pytest.mark.parametrize(
     ("answers", "size"),
-    [(["tsf85", "7", "", ""], (7, 4)), (["tsf85", "", "", ""], (14, 4)), (["st0001", "20", "", ""], (20, 3))],
+    [
+        (["tsf85", "7", "", "", ""], (7, 4)),
+        (["tsf85", "", "", "", ""], (14, 4)),
+        (["st0001", "20", "", "", ""], (20, 3)),
+    ],
 )
 def test_an_array_has_the_columns_of_its_protocol(monkeypatch, tmp_path, answers, size):
     typed = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", "", ""]
@@ -55,8 +68,23 @@ def test_an_array_has_the_columns_of_its_protocol(monkeypatch, tmp_path, answers
     assert (array.rows, array.columns) == size
 
 
+@pytest.mark.parametrize("protocol", ["tsf85", "st0001", "text"])
+def test_an_array_on_enter_is_the_shipped_one(monkeypatch, tmp_path, protocol):
+    typed = ["taxels", "/dev/a", "/dev/b", protocol, *[""] * 20]
+    assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
+    mine, shipped = (load_config(path).pads.palm1 for path in (tmp_path / "my.yaml", TAXELS / f"{protocol}.yaml"))
+    for key in ("rows", "columns", "pitch_mm", "contact_width_mm", "zero_mm"):
+        assert getattr(mine, key) == getattr(shipped, key), key
+
+
+def test_a_trackpad_on_enter_covers_the_palm(monkeypatch, tmp_path):
+    assert init(monkeypatch, tmp_path / "my.yaml", ["evdev", "/dev/a", "/dev/b", *[""] * 20]) == 0
+    config = load_config(tmp_path / "my.yaml")
+    assert config.pads.palm1.length_mm == config.rig.palm1_length_mm
+
+
 def test_impossible_numbers_of_rows_are_asked_again(monkeypatch, tmp_path, capsys):
-    typed = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", "", ""]
+    typed = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "", "feetech", "/dev/c", "", "", "", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", typed) == 0
     assert "it must be one of 7, 14" in capsys.readouterr().err
 
@@ -110,7 +138,7 @@ def test_it_ends_when_its_input_ends(monkeypatch, tmp_path, capsys):
 
 
 def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch, tmp_path, capsys):
-    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90", ""]
+    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "", "", "d", "/dev/c", "", "", "90", ""]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
     assert "does not sense plastic" in capsys.readouterr().err

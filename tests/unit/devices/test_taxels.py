@@ -133,6 +133,22 @@ def test_positions_are_right_until_the_arrays_end_hides_much_of_the_profile():
     assert beyond.unlocated
 
 
+@pytest.mark.parametrize(("distance", "error"), [(1.8, 0.1), (2.5, 0.05), (3.5, 0.025)])
+@pytest.mark.parametrize("wider", [0.85, 1.0, 1.15])
+@pytest.mark.parametrize(("rows", "pitch_mm", "width_mm"), [(20, 3.0, 2.0), (15, 4.0, 2.8)])
+def test_a_width_that_is_not_known_exactly_shifts_contacts_near_the_end(
+    rows, pitch_mm, width_mm, wider, distance, error
+):
+    """Distance and error in widths, as documented; of a contact with an abrupt end, unlike the profile assumed."""
+    config = array(rows=rows, pitch_mm=pitch_mm, contact_width_mm=width_mm, newtons_per_count=1e-6)
+    for further in np.linspace(0.0, pitch_mm, 8):
+        place = -0.5 * pitch_mm + distance * width_mm + further
+        x = np.clip(((np.arange(rows + 1) - 0.5) * pitch_mm - place) / (math.sqrt(5.0) * wider * width_mm), -1.0, 1.0)
+        rows_of = np.diff(0.25 * x * (3.0 - x**2)) * 2e5
+        report = read(config, np.repeat(rows_of[:, None], config.columns, axis=1))
+        assert abs(report.x_counts * 1e-3 - place) <= 1.05 * error * width_mm
+
+
 def test_two_contacts_have_no_position():
     config = array(contact_width_mm=2.0)
     report = read(config, counts_of(9.0, config, 2.0) + counts_of(45.0, config, 2.0))
