@@ -403,7 +403,7 @@ _shtab_palmd_demo_options=(
   "--physics[what moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, for ellipses (default\: palmd)]:physics:(palmd mujoco)"
   "--no-record[do not record\; the default is to record into runs\/]"
   "--perfect[use an exactly known rig]"
-  "--system[cradle\: two concave palms\; pivot\: a pivoting grasp\; three_palms\: three palms in space]:system:(cradle pivot three_palms)"
+  "--system[cradle\: two concave palms\; pivot\: a pivoting grasp\; three_palms\: three palms in space\; pivot_rigid\: a pivoting grasp without a slide, which needs minutes]:system:(cradle pivot_rigid pivot three_palms)"
   "--rig[an arm with VersaPads, or servos with strips]:rig:(adept tabletop)"
   "--config[configuration of rig and plan\; default\: the shipped one]:config:_files"
 )

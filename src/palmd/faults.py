@@ -296,7 +296,7 @@ FAULTS: tuple[Fault, ...] = (
     ),
     _degrade(
         "estimate-lost",
-        "the palms move and both pads touch the object, but there is no valid estimate",
+        "the rig moves and its pads touch the object, but there is no valid estimate",
         "move for some seconds with large angles; else check the rig's lengths and the pads' calibration",
         debounce_s=10.0,
     ),

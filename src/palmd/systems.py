@@ -96,7 +96,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
             log="palmd.record.systems.pivot:SYSTEM",
             live=LiveParts(
                 manual="docs/start/pivot.md",
-                demo="pivot.yaml",
+                demo="slide.yaml",
                 config="palmd.config.pivot:PivotConfig",
                 description="palmd.config.pivot:pivot_rig",
                 plans="palmd.motion.pivot:PLANS",
@@ -106,8 +106,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 recording="palmd.record.pivot_run:PivotRun",
                 report="palmd.report.pivot_report:report_of",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
-                shows="An arm lowers a body that pivots in its gripper onto a pad and drags it over it; "
-                "the outline is estimated once both sides of the body have been touched.",
+                shows="An arm lowers a body that turns freely in its gripper onto a pad, and moves it along the pad; "
+                "the outline is estimated where it was touched.",
                 status="palmd.cli.glance:pivot_status",
                 kernels="palmd.model.pivot:needed",
             ),

@@ -39,7 +39,9 @@ PROGRESS_S = 1.0
 RECORDED_S = 300.0  # for packing a recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
-DEMOS = {"cradle": "cradle.yaml"} | {name: live.demo for name, live in LIVE.items() if name != TWO_PALMS}
+VARIANTS = {"cradle": "cradle.yaml", "pivot_rigid": "pivot.yaml"}  # of a system
+DEMOS = VARIANTS | {name: live.demo for name, live in LIVE.items() if name != TWO_PALMS}
+_RIGID = "pivot_rigid: a pivoting grasp without a slide, which needs minutes"
 _WORLDS = {"none": "perfect", "calibrated": "with residual calibration errors"}
 
 
@@ -55,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--perfect", action="store_true", help="use an exactly known rig")
     which = parser.add_mutually_exclusive_group()
     others = "; ".join(f"{name}: {SYSTEMS[name].words}" for name in LIVE if name != TWO_PALMS)
-    which.add_argument("--system", choices=DEMOS, help="cradle: two concave palms; " + others)
+    which.add_argument("--system", choices=DEMOS, help=f"cradle: two concave palms; {others}; {_RIGID}")
     which.add_argument("--rig", choices=RIGS, default="adept", help="an arm with VersaPads, or servos with strips")
     which.add_argument("--config", type=Path, help="configuration of rig and plan; default: the shipped one")
 

@@ -107,7 +107,7 @@ class ObjectNotes:
         if number != self._number:
             self._lose(f"object {number} has been started", t)
             self._number, self._t_valid = number, -math.inf
-            add("object", "begun", f"object {number} is new: both pads are in contact")
+            add("object", "begun", f"object {number} is new: it touches all pads")
         if valid:
             if not self._known:
                 again = f" again, after {t - self._t_valid:.1f} s" if math.isfinite(self._t_valid) else ""

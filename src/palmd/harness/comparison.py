@@ -271,8 +271,11 @@ class SettlingComparison(AnyComparison):
     """
 
     shape: ClassVar[str]
-    """Name of the shape, and in `normals` of the directions in which it is touched."""
+    """Name of the shape; in `normals` of the directions in which it is touched, in `explored` of what explorations
+    cover.
+    """
     normals: ClassVar[str]
+    explored: ClassVar[str]
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -315,16 +318,21 @@ class SettlingComparison(AnyComparison):
         """The exploration's reason, the estimate or why there is none, and serious faults."""
         estimate, figures = self._estimate, self._outline()
         parts = []
-        if self._state.get("exploring") and self._state.get("reason"):
-            parts.append(f"exploring: {self._state['reason']}")
+        if self._state.get("exploring"):
+            parts.append(": ".join(filter(None, (f"exploring{self._share()}", self._state.get("reason")))))
         if not estimate.get("valid"):
             parts.append(f"no valid estimate: {estimate.get('reason') or 'no message received'}")
         elif figures is None:
             parts.append("valid estimate")
         else:
-            parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) on {figures.touched:.0%}")
+            parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) where touched ({figures.touched:.0%})")
             parts.append(f"[true error: {figures.error_m * 1e6:.0f} µm RMS]")
         return parts + self._serious_faults()
+
+    def _share(self) -> str:
+        """The share explored, such as " 50% of all directions"; empty while unknown."""
+        coverage = self._state.get("coverage", math.nan)
+        return f" {coverage:.0%} of {self.explored}" if math.isfinite(coverage) else ""
 
     def summary(self) -> str:
         """The final line."""
@@ -337,6 +345,8 @@ class SettlingComparison(AnyComparison):
         if (figures := self._outline()) is not None:
             error, sd = (f"{each * 1e6:.0f} µm" for each in figures[:2])
             parts.append(f"{self.shape} {error} RMS on {figures.touched:.0%} touched {self.normals} (sd {sd})")
+        if share := self._share():
+            parts.append(f"explored{share}")
         parts += self._errors()
         if self._body is not None and math.isfinite(self._mu[0]):
             parts.append(f"mu {self._mu[0]:.3f} ± {self._mu[1]:.3f} (true {self._body['mu']:.3f})")

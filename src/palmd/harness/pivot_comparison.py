@@ -19,6 +19,7 @@ class PivotComparison(SettlingComparison):
 
     shape = "outline about the pivot"
     normals = "normals"
+    explored = "the ends"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)

@@ -27,6 +27,7 @@ class ThreePalmsComparison(SettlingComparison):
 
     shape = "surface"
     normals = "directions"
+    explored = "all directions to within 10°"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)

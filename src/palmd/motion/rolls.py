@@ -20,7 +20,9 @@ FREE_M = 8e-3  # the stop is lowered by this, below the height at which the body
 ROLL_M, LEAST_ROLL_M, ROLL_M_S = 0.010, 0.002, 0.030  # longest and shortest stroke, and its speed
 AHEAD = 1.3  # largest motion of the contact relative to the arm's
 HEAVY = 0.8  # largest share of the force limit that the weight alone may use
-ENOUGH, PASSES = 4, 10  # passes from end to end before the outline may count as known; before it is set down elsewhere
+# passes from end to end before the outline may count as known; before it is set down elsewhere, provided that the
+# smoother has answered about them all; and before it is set down elsewhere in any case
+ENOUGH, PASSES, MOST_PASSES = 4, 10, 40
 SETTINGS = 3  # times that it is set down before the exploration gives up
 _FREE_M_S = 0.015
 
@@ -31,6 +33,7 @@ class Rolls(Drags):
     def __init__(self, limits: PivotLimits, goal: ExploreGoal) -> None:
         super().__init__(limits, goal)
         self._towards, self._passes, self._settings = 1.0, 0, 0
+        self._t_settled = self._t_passes = math.inf  # when the body was set down; when `PASSES` were complete
 
     @property
     def coverage(self) -> float:
@@ -68,16 +71,20 @@ class Rolls(Drags):
                 "done", reason="body and carriage are too heavy: raise limits.force_n, or make the carriage lighter"
             )
         self._towards, self._passes = 1.0, 0
+        self._t_settled, self._t_passes = sensed.t, math.inf
         self._settings += 1
         self.phase = "roll"
-        return self._move_to(here, (here[0], min(here[1], sensed.z - FREE_M)), _FREE_M_S)
+        free = (here[0], min(here[1], sensed.z - FREE_M))
+        return self._move_to(here, free, _FREE_M_S, "rolls the body to and fro over the pad")
 
     def _roll(self, sensed: Touching, here: Angles) -> DragStep:
         if not math.isfinite(sensed.e):
             return WAIT
-        if self._passes >= ENOUGH and self._known(sensed):
+        if self._passes >= ENOUGH and sensed.t_answer > self._t_settled and self._known(sensed):
             return DragStep("done", reason="rolled to and fro, and the outline is known")
         if self._passes > PASSES:
+            self._t_passes = min(self._t_passes, sensed.t)
+        if sensed.t_answer > self._t_passes or self._passes > MOST_PASSES:
             if self._settings >= SETTINGS:
                 return DragStep("done", reason="rolled to and fro repeatedly, but the outline is not determined")
             return self._enter("lift", "the outline is not determined yet: lifted off to be set down elsewhere")

@@ -13,6 +13,7 @@ from palmd.events import FloatArray
 from palmd.observer.validity import MOST_NIS
 from palmd.report.errors import Errors, count_within_band
 from palmd.report.series import FOLLOWING_RATIO, SDS, FaultInterval, Series
+from palmd.systems import TWO_PALMS
 
 FAILED, IMPAIRED, NOTE = "failed", "impaired", "note"
 LEVELS = (FAILED, IMPAIRED, NOTE)
@@ -84,11 +85,12 @@ def verdict_of(series: Series, errors: Errors | None = None) -> RunVerdict:
 def _of_estimate(series: Series) -> Iterator[RunFinding]:
     valid = series.valid
     run = series.run.path.name
+    again = f"palmd reconstruct {run}" if series.run.system == TWO_PALMS else ""  # supported for two palms only
     reasons = " and ".join(map(_in_words, list(series.invalid_reasons)[:2])) or "no reason was published"
     if not valid.any():
         yield RunFinding(
             FAILED, f"no estimate was valid in {series.duration:.0f} s; most frequent reasons: {reasons}",
-            f"palmd reconstruct {run} searches the whole run; move the palms more, or longer",
+            f"{again} searches the whole run; move more, or longer" if again else "explore for longer",
         )  # fmt: skip
         return
     since = int(np.argmax(valid))
@@ -98,7 +100,7 @@ def _of_estimate(series: Series) -> Iterator[RunFinding]:
     if lasted > LOST_S:
         yield RunFinding(
             FAILED, f"the object is lost at the end: no valid estimate in the last {lasted:.1f} s ({reasons})",
-            f"palmd reconstruct {run}; palmd why {run} if the motion was held",
+            "; ".join(filter(None, (again, f"palmd why {run} if the motion was held"))),
         )  # fmt: skip
     if share < MIN_VALID_FRACTION:
         yield RunFinding(

@@ -128,7 +128,8 @@ class Touching:
 
     x, z: position of the pivot (m). e: contact ahead of the pivot (m), and force (N), means over some tens of
     milliseconds; NaN without contact. touched: fraction of normals touched, and band: RMS 1σ of the outline there (m);
-    both NaN without an accepted outline.
+    both NaN without an accepted outline. t_answer: time of the last reading in the smoother's latest answer, accepted
+    or not (s); −inf without one, inf if none is to be awaited.
     """
 
     t: float
@@ -139,3 +140,4 @@ class Touching:
     touching: bool
     touched: float
     band: float
+    t_answer: float = math.inf

@@ -78,12 +78,14 @@ def test_without_a_valid_estimate_the_reason_and_the_state_are_given(compared):
     assert "never settled: no message received" in compared.summary()
     compared.started(1.0)
     estimate(compared, 2.0, valid=False, mu=math.nan)
-    said = {"state": "tracking", "reason": "lowered", "exploring": True, "faults": ["lost"], "severities": ["hold"]}
+    said = {"state": "tracking", "reason": "lowered", "exploring": True, "faults": ["lost"], "severities": ["hold"],
+            "coverage": 0.5}  # fmt: skip
     feed(compared, "palm/state", **said)
     feed(compared, "palm/loop", work_p99_ms=1.5)
     feed(compared, "palm/loop", work_p99_ms=2.5)
     line = compared.progress(3.0)
-    assert all(part in line for part in ("2 s", "tracking", "lowered", "it has not moved", "lost"))
+    assert all(part in line for part in ("2 s", "tracking", "50%", "lowered", "it has not moved", "lost"))
     assert "never settled: it has not moved" in compared.summary()
+    assert "explored 50%" in compared.summary()
     assert "mu" not in compared.summary()
     assert compared.summary().endswith("work p99 2.0 ms")

@@ -6,7 +6,7 @@ import pytest
 
 from palmd.config.plans import ExploreGoal
 from palmd.motion.pivot import PivotLimits
-from palmd.motion.rolls import ENOUGH, PASSES, SETTINGS, Rolls
+from palmd.motion.rolls import ENOUGH, MOST_PASSES, PASSES, SETTINGS, Rolls
 from palmd.system.pivot import Touching
 
 LIMITS = PivotLimits(
@@ -84,3 +84,27 @@ def test_a_body_that_is_too_heavy_is_refused():
     step = rolls.look(replace(CONTACT, force=1.7), (CONTACT.x, CONTACT.z), True)
     assert step.kind == "done"
     assert "too heavy: raise limits.force_n" in step.reason
+
+
+def test_an_outline_under_way_is_awaited_before_the_body_is_set_down_elsewhere():
+    rolls, here = set_down()
+    old = replace(CONTACT, t_answer=CONTACT.t - 1.0)  # about readings from before this contact
+    steps, here = rolled(rolls, here, old, 12 * PASSES)
+    assert {step.kind for step in steps} == {"move"}
+    steps, here = rolled(rolls, here, replace(old, t_answer=old.t + 1.0), 2)
+    assert any("lifted off to be set down elsewhere" in step.reason for step in steps)
+
+
+def test_without_any_answer_the_body_is_set_down_elsewhere_at_last():
+    rolls, here = set_down()
+    steps, _ = rolled(rolls, here, replace(CONTACT, t_answer=-math.inf), 8 * MOST_PASSES)
+    assert any("lifted off to be set down elsewhere" in step.reason for step in steps)
+
+
+def test_an_outline_of_an_earlier_contact_does_not_end_the_exploration():
+    rolls, here = set_down(ExploreGoal(band_mm=0.1))
+    known = replace(CONTACT, band=5e-5)
+    steps, here = rolled(rolls, here, replace(known, t_answer=CONTACT.t - 1.0), 60)
+    assert "done" not in {step.kind for step in steps}
+    steps, _ = rolled(rolls, here, replace(known, t_answer=CONTACT.t + 1.0), 2)
+    assert steps[-1].kind == "done"

@@ -45,6 +45,14 @@ def test_a_run_without_a_valid_estimate_has_failed_with_its_reasons(series) -> N
     assert "palmd reconstruct" in verdict.findings[0].action
 
 
+def test_no_action_is_a_command_that_refuses_the_runs_system(series, monkeypatch) -> None:
+    monkeypatch.setattr(type(series.run), "system", "pivot")
+    for valid in (np.zeros(len(series.estimate.t)), (series.estimate.t < 1.0).astype(float)):
+        action = verdict_of(changed(good(series), "estimate", valid=valid)).findings[0].action
+        assert action
+        assert "palmd reconstruct" not in action
+
+
 def test_a_moment_without_a_valid_estimate_at_the_end_is_no_loss(series) -> None:
     valid = np.ones(len(series.estimate.t))
     valid[-10:] = 0.0

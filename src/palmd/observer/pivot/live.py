@@ -168,7 +168,8 @@ class PivotObserver(ObserverOfOne[PivotAnswer]):
             was_touched = self._body.answer.touched > 0
             band = float(np.sqrt(np.mean(self._body.answer.h_sd[was_touched] ** 2))) if was_touched.any() else math.nan
             touched = float(was_touched.mean())
-        return Touching(t, x, z, e, force, self._touching, touched, band)
+        t_answer = -math.inf if self._answer is None else self._answer.t
+        return Touching(t, x, z, e, force, self._touching, touched, band, t_answer)
 
     # ---- its parts ---------------------------------------------------------------------------------------
 
