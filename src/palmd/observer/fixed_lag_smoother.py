@@ -52,9 +52,9 @@ class Solution:
         """Duration of the explained readings (s)."""
         return self.end - self.search.segment.start
 
-    def with_correlated_errors(self) -> Solution:
+    def with_correlated_errors(self, alone: bool = False) -> Solution:
         """As `Search.with_correlated_errors`; without rivals."""
-        record, fit = self.search.with_correlated_errors(self.finding.record, self.finding.fits[0])
+        record, fit = self.search.with_correlated_errors(self.finding.record, self.finding.fits[0], alone)
         return Solution(self.search, Minima(record, (fit,), self.finding.work))
 
     @cached_property

@@ -146,10 +146,10 @@ class IncrementalSmoother:
             return self._smooth(segment, self._fixed_lag)
         confirmed = self._initialiser.confirmed and solution.lasts > SUFFICIENT_S - SPACING_S
         if not confirmed and not self._archive:
-            return solution.with_correlated_errors()
+            return solution.with_correlated_errors(alone=True)
         fixed_lag = FixedLagSmoother(solution)
         if not self._join_archive(fixed_lag) and not confirmed:
-            return solution.with_correlated_errors()
+            return solution.with_correlated_errors(alone=True)
         self._fixed_lag = fixed_lag
         solution = fixed_lag.smoothed(segment) or solution
         self._drop_before(fixed_lag.needs_from)

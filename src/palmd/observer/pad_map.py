@@ -15,7 +15,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import Guess
-from palmd.observer.record import Record
+from palmd.observer.record import Record, total_duration
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -29,9 +29,10 @@ STEPS = 12
 BEYOND = 8
 """Grid steps by which the functions extend beyond the touched span, where a fit may move contacts (convention)."""
 
-SHARED_READINGS = 150.0
-"""Readings that share a smooth position error, where there is no map of it (study of linearised posteriors and of fits,
-10 s at 100 readings/s: covariances are honest with errors of 0.07 and 0.14 mm RMS)."""
+SHARED_READINGS, SHARED_S = 150.0, 10.0
+"""Readings that share a smooth position error, where there is no map of it, and the time (s) in which they are taken
+(study of linearised posteriors and of fits, 10 s at 100 readings/s: covariances are honest with errors of 0.07 and 0.14
+mm RMS). In a shorter time, proportionally fewer readings are taken at the same place (derivation)."""
 
 
 def has_map(rig: RigDescription) -> bool:
@@ -68,13 +69,15 @@ def with_map(
     return mapped_record, replace(prior, mean=mean, sd=sd), Guess(guess.x, np.concatenate([guess.p, np.zeros(added)]))
 
 
-def with_shared_errors(record: Record, rig: RigDescription) -> Record:
+def with_shared_errors(record: Record, rig: RigDescription, alone: bool = False) -> Record:
     """The record with the readings' variance increased by shared errors; for covariances without a map.
 
-    rig: by which the record was laid out; its maps are noise (`map_as_noise`). Almost every fit explains a record with
-    so much noise, so it cannot be used to test a fit.
+    rig: by which the record was laid out; its maps are noise (`map_as_noise`). alone: whether there are no readings
+    of the object before the record, with which it would share its errors. Almost every fit explains a record with so
+    much noise, so it cannot be used to test a fit.
     """
-    variances = np.array([SHARED_READINGS * pad.map_sd**2 - pad.map_noise**2 for pad in rig.pads])
+    shared_readings = SHARED_READINGS * (min(total_duration(record.spans) / SHARED_S, 1.0) if alone else 1.0)
+    variances = np.array([max(shared_readings * pad.map_sd**2 - pad.map_noise**2, 0.0) for pad in rig.pads])
     shared = variances[record.contact_pad.astype(np.intp) - 1]
     return replace(record, contact_variance=record.contact_variance + shared)
 

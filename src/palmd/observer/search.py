@@ -418,13 +418,14 @@ class Search:
         """As `minima`, of this search."""
         return minima(self.smoother, record, guesses, self.noise, rejections)
 
-    def with_correlated_errors(self, record: Record, fit: Fit) -> tuple[Record, Fit]:
+    def with_correlated_errors(self, record: Record, fit: Fit, alone: bool = False) -> tuple[Record, Fit]:
         """The record with long-correlated errors in the noise model, as covariances need them, and its fit from `fit`.
 
         Errors of the friction law and the pads' position errors are the same for many readings in a row. The fit that
-        decides whether the readings are explained must not include them: nearly every fit would pass.
+        decides whether the readings are explained must not include them: nearly every fit would pass. `alone` as in
+        `with_shared_errors`.
         """
-        record = with_shared_errors(self.smoother(record).with_discrepancy(fit.guess), self.rig)
+        record = with_shared_errors(self.smoother(record).with_discrepancy(fit.guess), self.rig, alone)
         return record, self.smoother(record).fit(fit.guess, fit.noise, GRADUATED_ITERATIONS)
 
     def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
