@@ -105,9 +105,9 @@ def test_a_calibration_by_hand_is_kept_when_the_capture_ends_before_the_first_ob
     with Typist("record", "capture", rig.config, "--plan", tmp_path / "short.yaml", "-o", bundle) as terminal:
         slips(terminal, "The cylinder's diameter", ("", "forty", "-48", "4"), "it must be", "48")
         slips(terminal, "Diameter of a second cylinder", ("wide", "45"), "it must be", "30")
-        terminal.until("take the cylinder of 24 mm out", PLAN_S + START_S, unless=SLOW)
+        terminal.until("take the cylinder of 24 mm radius out", PLAN_S + START_S, unless=SLOW)
         hand.take_out()
-        terminal.until("lay the cylinder of 15 mm", SOON_S)
+        terminal.until("lay the cylinder of 15 mm radius", SOON_S)
         hand.put_next()
         terminal.until("take the last cylinder out", PLAN_S, unless=SLOW)
         hand.take_out()

@@ -61,7 +61,7 @@ def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], Non
     with exit_on_error(BAD_INPUT):
         plans = [turning_plan(radius_mm * 1e-3, motion_limits(config)) for radius_mm in radii_mm]
     folder = result_folder(arguments)
-    names = [f"the cylinder of {radius_mm:g} mm" for radius_mm in radii_mm]
+    names = [f"the cylinder of {radius_mm:g} mm radius" for radius_mm in radii_mm]
     sessions = [recorded_events(arguments, config, plans[0], cylinder=names[0])]
     exchange(config, names[0])
     sessions.append(recorded_events(arguments, config, plans[1], cylinder=names[1]))

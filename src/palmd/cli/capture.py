@@ -60,6 +60,7 @@ READY_S = 60.0
 PACKED_S = 300.0
 ATTEMPTS = 3
 """Attempts at a step on the emulated rig."""
+_ON_PALMS = tuple(f"--cylinder={diameter_mm / 2:g},{mass_g:g}" for diameter_mm, mass_g in CYLINDERS)
 _OURS = ("configuration", "plan", "pad", "arm")
 """Findings of `palmd doctor` that must be ok; others at most slow palmd down."""
 
@@ -168,8 +169,7 @@ class Guide:
         _print("Step 1: check. Nothing moves.")
         if not self._emulated and daemon(own) is not None:
             raise CliError(RIG_FAILED, "a palmd daemon is already running: stop it first (sudo systemctl stop palmd)")
-        each = [f"--cylinder={diameter_mm / 2:g},{mass_g:g}" for diameter_mm, mass_g in CYLINDERS]
-        self._begin_rig(*each)
+        self._begin_rig(*_ON_PALMS)
         self._retry(self._examine, "fix the findings; each line says how")
 
     def calibrate(self) -> None:
@@ -188,7 +188,12 @@ class Guide:
             output=self._bundle.calibration, resumes=self._confirm_resume,
         )  # fmt: skip
 
+        attempts = itertools.count()
+
         def calibrated() -> None:
+            if next(attempts) and self._emulated:  # the failed attempt left another cylinder, or none
+                self._begin_rig(*_ON_PALMS)
+                self._begin_daemon()
             self._until_ready()
             with redirect_stdout(sys.stderr):
                 if math.isnan(other_mm):

@@ -159,9 +159,9 @@ def test_standoffs_are_found_with_two_cylinders(rig, config_path, tmp_path, caps
     assert out.startswith("pad1: ")
     asked = [line for line in err.splitlines() if "the cylinder of" in line]
     assert asked == [
-        "lay the cylinder of 20 mm between the palms, across both pads",
-        "take the cylinder of 20 mm out",
-        "lay the cylinder of 15 mm between the palms, across both pads",
+        "lay the cylinder of 20 mm radius between the palms, across both pads",
+        "take the cylinder of 20 mm radius out",
+        "lay the cylinder of 15 mm radius between the palms, across both pads",
     ]
     found_mm = result["found"]["palm1"]["standoff_mm"]
     assert f"pad 1's surface lies {found_mm:.2f} mm above the hinge line" in err
@@ -173,7 +173,7 @@ def test_a_first_cylinder_that_stays_in_ends_the_calibration(rig, config_path, c
     monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     with rig():
         message = refused(config_path, 3, capsys, calibrate=standoff)
-    assert message == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
+    assert message == "the cylinder of 20 mm radius was not taken out within 0 s: nothing is stored"
 
 
 @pytest.mark.usefixtures("brisk")

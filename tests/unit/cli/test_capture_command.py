@@ -76,6 +76,56 @@ def test_a_failed_step_says_what_to_do_and_is_repeated(monkeypatch, tmp_path, ca
         guide(monkeypatch, tmp_path / "other", "no")._retry(failing(1), "wipe the pads")
 
 
+class Stack:
+    """Records which rigs and daemons are started; `measured` takes the cylinders in turn."""
+
+    path, rig_info = TABLETOP, {"control": "c"}
+
+    def __init__(self):
+        self.started, self.on_palms, self.client = [], None, self
+
+    def start_rig(self, *arguments):
+        self.started.append("rig")
+        self.on_palms = [each.partition("=")[2] for each in arguments if each.startswith("--cylinder")]
+
+    def configure(self, *_):
+        pass
+
+    def begin_daemon(self):
+        self.started.append("daemon")
+
+    def wait_for_daemon(self):
+        return True
+
+    def ask(self, _command):
+        return {"result": {"state": "ready"}}
+
+    def ask_rig(self, command):
+        assert command == "new_object"
+        self.on_palms.append(self.on_palms.pop(0))
+
+
+def test_a_repeated_calibration_of_the_emulated_rig_begins_with_the_first_cylinder(monkeypatch, tmp_path):
+    stack, seen = Stack(), []
+    config = load_config(TABLETOP)
+    mine = Guide(stack, config, EXPLORE, Bundle.new(tmp_path / "bundle"), 0)
+    stack.start_rig("--cylinder=24,150", "--cylinder=15,60")
+
+    def measure(arguments, exchange):
+        seen.append(stack.on_palms[0])
+        exchange(config, "the first")
+        seen.append(stack.on_palms[0])
+        if len(seen) == 2:
+            raise CliError(3, "the second one slipped")
+        arguments.output.mkdir()
+        (arguments.output / "standoff.yaml").write_text("configuration: {palm1: {zero_mm: 2.7}}")
+
+    monkeypatch.setattr("palmd.calibration.standoff.measure", measure)
+    mine.calibrate()
+    assert seen == ["24,150", "15,60"] * 2
+    assert stack.started == ["rig", "daemon", "rig", "daemon"]
+
+
 def test_calipers_are_asked_for_and_an_implausible_answer_is_asked_again(monkeypatch, tmp_path, capsys):
     answers = ("44", "54", "36.5", "unknown", "")
     row = guide(monkeypatch, tmp_path, *answers)._measured("stone", "runs/1-stone.mcap")
