@@ -67,6 +67,18 @@ def test_readings_before_the_set_down_are_discarded(smoother):
     assert smoother.given[0].t_sample == 6.0
 
 
+def test_a_body_at_rest_keeps_its_outline(smoother):
+    def arm(begin, end, speed):
+        return [PalmSample(t, (0.01 + speed * (t - begin), 0.03)) for t in np.arange(begin, end, 0.02)]
+
+    smoother.add([*contact_readings(0.0, 4.0), *arm(0.0, 4.0, 0.005)])
+    assert smoother.answer() is not None
+    smoother.add([*contact_readings(4.0, 30.0), *arm(4.0, 30.0, 0.0)])
+    assert smoother.answer() is None
+    smoother.add([*contact_readings(30.0, 32.0), *arm(30.0, 32.0, 0.005)])
+    assert smoother.answer() is not None
+
+
 def test_the_stops_height_is_not_used_as_the_pivots():
     sample = PalmSample(1.0, (0.02, 0.03), (0.01, -0.02), (0.1, 0.2))
     assert (to_log_event(sample, slides=False).vz, to_log_event(sample, slides=True).vz) == (-0.02, None)

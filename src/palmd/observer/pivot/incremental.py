@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, rejected
+from palmd.observer.pivot.reconstruct import LEAST_PATH_M, ONE_SIDE, PivotReconstruction, reconstruct, rejected
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
 from palmd.observer.smoothing import SimulatedSmoothingOfOne
 from palmd.score import score_outline
@@ -30,6 +30,7 @@ class IncrementalPivotSmoother:
         self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
+        self._t_answer = -math.inf  # time of the last event in the latest answer
         # time and result of the first reconstruction with which all later ones agree
         self._before: tuple[float, PivotReconstruction] | None = None
 
@@ -48,7 +49,9 @@ class IncrementalPivotSmoother:
         readings = [event.t_sample for event in self._events if isinstance(event, PadSample)]
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
-        self._pads = len(readings)
+        if self._slides and not self._has_moved():
+            return None
+        self._pads, self._t_answer = len(readings), self._events[-1].t_sample
         if not self._slides and (reason := self._one_sided()):
             return answer_of(rejected(reason), readings[-1])
         found = reconstruct(self._events, self._rig)
@@ -78,6 +81,17 @@ class IncrementalPivotSmoother:
         self._events = [
             event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= set_down
         ]
+
+    def _has_moved(self) -> bool:
+        """Whether the arm has moved along the pad since the latest answer, as far as is known.
+
+        At rest a body on a slide shows nothing new, and the readings that determined its outline leave the window.
+        """
+        if math.isinf(self._t_answer):
+            return True
+        since = [event for event in self._events if event.t_sample > self._t_answer]
+        places = [event.x for event in since if isinstance(event, GripperSample)]
+        return not places or max(places) - min(places) > LEAST_PATH_M
 
     def _one_sided(self) -> str:
         """`ONE_SIDE` if all readings are on one side of the dead centre, so that a fit would be rejected; else ''."""
