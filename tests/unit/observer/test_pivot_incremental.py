@@ -50,6 +50,15 @@ def test_an_outline_is_accepted_when_more_readings_confirm_it(smoother):
     assert smoother.answer().accepted
 
 
+def test_answers_that_take_long_are_far_enough_apart_to_confirm(smoother):
+    period = smoother.period_s
+    assert period < AGREE_S
+    smoother.finds = replace(FOUND, seconds=2.0 * period)
+    smoother.add(contact_readings(0.0, 4.0))
+    smoother.answer()
+    assert smoother.period_s > AGREE_S
+
+
 def test_another_outline_restarts_the_confirmation(smoother):
     smoother.add(contact_readings(0.0, 4.0))
     smoother.answer()

@@ -18,6 +18,7 @@ from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 WINDOW_S = {"rigid": 90.0, "float": 20.0}  # length of the readings that are kept
 LEAST_S = 3.0  # contact before anything is tried
 PERIOD_S = 1.0
+CONFIRMING_S = 4.2  # period of answers that take longer than `PERIOD_S`, so that the next one can confirm an outline
 ACCEPTED_M = 5e-5  # largest 1σ of an accepted outline on an exactly known rig; more readings improve it
 LATENCY_S = 0.5  # of a simulated smoother
 AGREE_S, AGREE_M = 4.0, 1e-4  # on a slide: time for which all outlines must agree, and their largest RMS difference
@@ -30,6 +31,7 @@ class IncrementalPivotSmoother:
         self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
+        self._took_s = 0.0  # duration of the latest reconstruction
         self._t_answer = -math.inf  # time of the last event in the latest answer
         # time and result of the first reconstruction with which all later ones agree
         self._before: tuple[float, PivotReconstruction] | None = None
@@ -55,9 +57,15 @@ class IncrementalPivotSmoother:
         if not self._slides and (reason := self._one_sided()):
             return answer_of(rejected(reason), readings[-1])
         found = reconstruct(self._events, self._rig)
+        self._took_s = found.seconds
         if self._slides and found.converged and not self._is_confirmed(found, readings[-1]):
             found = rejected("an outline was found; it is accepted once more readings confirm it")
         return answer_of(found, readings[-1])
+
+    @property
+    def period_s(self) -> float:
+        """Shortest time from the start of the latest answer to the next (s)."""
+        return CONFIRMING_S if self._slides and self._took_s > PERIOD_S else PERIOD_S
 
     def _is_confirmed(self, found: PivotReconstruction, t: float) -> bool:
         """Whether all outlines of the last `AGREE_S` agree.
