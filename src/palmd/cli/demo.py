@@ -20,6 +20,7 @@ from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
 from palmd.cli.build import prepare_kernels
 from palmd.config.any_config import AnyConfig, BusConfig
+from palmd.config.two_palms import Config
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.extras import require
 from palmd.console.shipped import shipped
@@ -42,6 +43,10 @@ RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
 VARIANTS = {"cradle": "cradle.yaml", "pivot_rigid": "pivot.yaml"}  # of a system
 DEMOS = VARIANTS | {name: live.demo for name, live in LIVE.items() if name != TWO_PALMS}
 _RIGID = "pivot_rigid: a pivoting grasp without a slide, which needs minutes"
+_STICKS = (
+    "Its palms do not vibrate: an object with friction sticks, and no live estimate of it is valid. Its outline is "
+    "estimated from the recording, by palmd reconstruct."
+)
 _WORLDS = {"none": "perfect", "calibrated": "with residual calibration errors"}
 
 
@@ -89,6 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
         if not stack.start_rig("--sockets", "--physics", physics, *rig_arguments):
             return 0  # stopped before the start
         _print(LIVE[config.system].shows)
+        if isinstance(config, Config) and config.rig.vibration.relation == "none":
+            _print(_STICKS)
         _print(f"Seed {stack.rig_info['seed']}; the object is unknown to the daemon. Watch it with:")
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
@@ -102,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
                 _print(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
         _bring_to_rest(stack)
         if not arguments.no_record:
-            _finish_recording(stack)
+            _finish_recording(stack, advise=config.system == TWO_PALMS and not comparison.settled)
     print(comparison.summary())
     return 0 if comparison.settled else RIG_FAILED
 
@@ -174,11 +181,16 @@ def _bring_to_rest(stack: Stack) -> None:
     stack.children["daemon"].stop()
 
 
-def _finish_recording(stack: Stack) -> None:
-    """Let the recorder receive the daemon's end and pack the recording; print its path."""
+def _finish_recording(stack: Stack, *, advise: bool) -> None:
+    """Let the recorder receive the daemon's end and pack the recording; print its path.
+
+    advise: print the command that estimates the outline from it.
+    """
     recorder, paths = stack.children["recorder"], stack.recorded(RECORDED_S)
     for path in paths:
         _print(f"recorded in {path}")
+        if advise:
+            _print(f"estimate the outline from the whole run: palmd reconstruct {path} -o outline.svg")
     if recorder.status != 0 or not paths:
         _print(f"not recorded: {recorder.error_output() or recorder.status}")
 

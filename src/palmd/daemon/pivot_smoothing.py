@@ -9,7 +9,7 @@ from palmd.system.pivot import PivotRig
 
 def serve(address: str, rig: str) -> None:
     """Main function of the process, never returns; `rig`: the rig's fields as JSON."""
-    from palmd.observer.pivot.incremental import PERIOD_S, IncrementalPivotSmoother  # SciPy, in this process alone
+    from palmd.observer.pivot.incremental import IncrementalPivotSmoother  # SciPy, in this process alone
 
     smoother = IncrementalPivotSmoother(rig_from_json(rig, PivotRig))
-    work(address, smoother.add, smoother.answer, ANSWERS.packed, lambda: PERIOD_S)
+    work(address, smoother.add, smoother.answer, ANSWERS.packed, lambda: smoother.period_s)

@@ -31,6 +31,9 @@ _RADII = tuple(f"{name}_m" for name in RADII)
 class AnyComparison(ABC):
     """Processes the messages of daemon and rig, for any system; memory does not grow with the duration."""
 
+    explored: ClassVar[str]
+    """Name of what explorations cover."""
+
     def __init__(self, seed: int, rig: str) -> None:
         """The rig's `seed`, and a description of its imperfections, for the summary."""
         self._seed, self._rig = seed, rig
@@ -93,6 +96,17 @@ class AnyComparison(ABC):
     def summary(self) -> str:
         """The final line."""
 
+    def _share(self) -> str:
+        """The share explored, such as " 50% of all directions"; empty while unknown."""
+        coverage = self._state.get("coverage", math.nan)
+        return f" {coverage:.0%} of {self.explored}" if math.isfinite(coverage) else ""
+
+    def _exploring(self) -> list[str]:
+        """What an exploration under way has covered, and its reason for what the rig does."""
+        if not self._state.get("exploring"):
+            return []
+        return [": ".join(filter(None, (f"exploring{self._share()}", self._state.get("reason"))))]
+
     def _serious_faults(self) -> list[str]:
         """Codes of the faults that are more than a note."""
         faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
@@ -104,6 +118,8 @@ class AnyComparison(ABC):
 
 class Comparison(AnyComparison):
     """Comparison for two palms."""
+
+    explored = "what can be reached"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -157,8 +173,8 @@ class Comparison(AnyComparison):
                 )
 
     def _progress(self) -> list[str]:
-        """The estimate or why there is none, and serious faults."""
-        parts = []
+        """The exploration's reason, the estimate or why there is none, and serious faults."""
+        parts = self._exploring()
         e = self._estimate
         if e.get("valid"):
             radii = " ".join(f"{e[name] * 1e3:.2f}" for name in _RADII)
@@ -271,11 +287,8 @@ class SettlingComparison(AnyComparison):
     """
 
     shape: ClassVar[str]
-    """Name of the shape; in `normals` of the directions in which it is touched, in `explored` of what explorations
-    cover.
-    """
+    """Name of the shape, and in `normals` of the directions in which it is touched."""
     normals: ClassVar[str]
-    explored: ClassVar[str]
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -317,9 +330,7 @@ class SettlingComparison(AnyComparison):
     def _progress(self) -> list[str]:
         """The exploration's reason, the estimate or why there is none, and serious faults."""
         estimate, figures = self._estimate, self._outline()
-        parts = []
-        if self._state.get("exploring"):
-            parts.append(": ".join(filter(None, (f"exploring{self._share()}", self._state.get("reason")))))
+        parts = self._exploring()
         if not estimate.get("valid"):
             parts.append(f"no valid estimate: {estimate.get('reason') or 'no message received'}")
         elif figures is None:
@@ -328,11 +339,6 @@ class SettlingComparison(AnyComparison):
             parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) where touched ({figures.touched:.0%})")
             parts.append(f"[true error: {figures.error_m * 1e6:.0f} µm RMS]")
         return parts + self._serious_faults()
-
-    def _share(self) -> str:
-        """The share explored, such as " 50% of all directions"; empty while unknown."""
-        coverage = self._state.get("coverage", math.nan)
-        return f" {coverage:.0%} of {self.explored}" if math.isfinite(coverage) else ""
 
     def summary(self) -> str:
         """The final line."""

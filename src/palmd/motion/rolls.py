@@ -25,6 +25,7 @@ HEAVY = 0.8  # largest share of the force limit that the weight alone may use
 ENOUGH, PASSES, MOST_PASSES = 4, 10, 40
 SETTINGS = 3  # times that it is set down before the exploration gives up
 _FREE_M_S = 0.015
+_ROLLING = "rolls the body to and fro over the pad"
 
 
 class Rolls(Drags):
@@ -75,7 +76,7 @@ class Rolls(Drags):
         self._settings += 1
         self.phase = "roll"
         free = (here[0], min(here[1], sensed.z - FREE_M))
-        return self._move_to(here, free, _FREE_M_S, "rolls the body to and fro over the pad")
+        return self._move_to(here, free, _FREE_M_S, _ROLLING)
 
     def _roll(self, sensed: Touching, here: Angles) -> DragStep:
         if not math.isfinite(sensed.e):
@@ -94,7 +95,7 @@ class Rolls(Drags):
             self._towards = -self._towards
             self._passes += 1
             way = self._room(sensed, here)
-        return self._move_to(here, (here[0] + self._towards * max(way, 0.0), here[1]), ROLL_M_S)
+        return self._move_to(here, (here[0] + self._towards * max(way, 0.0), here[1]), ROLL_M_S, _ROLLING)
 
     def _room(self, sensed: Touching, here: Angles) -> float:
         """Distance (m) that the arm may move on: within its limits and with the contact on the pad."""

@@ -1,6 +1,7 @@
 """Pivoting grasps, rigid and on a slide, in closed loop without ports: exploration, estimates, replay."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from palmd.daemon.commands import parse
 from palmd.daemon.systems import live_system
 from palmd.events import PadSample
 from palmd.messages import stamp
+from palmd.observer.pivot import rolling
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.score import score_shape
@@ -123,6 +125,32 @@ def test_the_same_readings_give_bit_identical_estimates(lived):
         again.improve(fed["t_tick_s"])
         now = says.estimate_fields(again.estimate(fed["t_tick_s"]))
         assert msgpack.packb(now) == msgpack.packb(dict(tick.messages["palm/pivot"]))
+
+
+def test_an_answer_that_comes_too_late_leaves_the_outline_in_use(slide, monkeypatch):
+    monkeypatch.setattr(rolling, "PAST_S", 4.0)
+    answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in slide.published("palm/pivot_answer")}
+    accepted = [answer for answer in answers.values() if answer.accepted]
+    late = slide.ticks[-50].messages["palm/pivot_events"]["t_tick_s"]
+    answers[late] = replace(accepted[-1], t=late - 5.0)
+
+    class Late:
+        def submit(self, t, events):
+            pass
+
+        def collect(self, t):
+            return answers.get(t)
+
+    observer = pivot_observer(pivot_rig(slide.config), Late())
+    valid = []
+    for tick in slide.ticks:
+        fed = tick.messages["palm/pivot_events"]
+        for event in says.events_of(fed):
+            observer.feed(event)
+        observer.improve(fed["t_tick_s"])
+        valid.append(observer.estimate(fed["t_tick_s"]).valid)
+    assert valid[-100]
+    assert all(valid[-50:])
 
 
 def test_nothing_jams_and_the_force_stays_below_its_limit(rigid):

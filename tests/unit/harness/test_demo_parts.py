@@ -232,6 +232,9 @@ def test_an_estimate_before_the_motion_does_not_count_as_settled():
 def test_progress_names_state_and_severe_faults():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 1.0)
+    feed(comparison, "palm/state", state="tracking", exploring=True, reason="it sticks", coverage=0.25)
+    line = comparison.progress(102.2)
+    assert all(words in line for words in ("exploring 25%", "it sticks"))
     feed(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
     line = comparison.progress(103.2)
     assert line.startswith("    3 s  hold")

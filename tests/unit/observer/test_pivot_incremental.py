@@ -51,6 +51,15 @@ def test_an_outline_is_accepted_when_more_readings_confirm_it(smoother):
     assert smoother.answer().accepted
 
 
+def test_answers_that_take_long_are_far_enough_apart_to_confirm(smoother):
+    period = smoother.period_s
+    assert period < AGREE_S
+    smoother.finds = replace(FOUND, seconds=2.0 * period)
+    smoother.add(contact_readings(0.0, 4.0))
+    smoother.answer()
+    assert smoother.period_s > AGREE_S
+
+
 def test_another_outline_restarts_the_confirmation(smoother):
     smoother.add(contact_readings(0.0, 4.0))
     smoother.answer()
@@ -66,6 +75,18 @@ def test_readings_before_the_set_down_are_discarded(smoother):
     smoother.add([*contact_readings(0.0, 5.0), *contact_readings(6.0, 10.0)])
     smoother.answer()
     assert smoother.given[0].t_sample == 6.0
+
+
+def test_a_body_at_rest_keeps_its_outline(smoother):
+    def arm(begin, end, speed):
+        return [PalmSample(t, (0.01 + speed * (t - begin), 0.03)) for t in np.arange(begin, end, 0.02)]
+
+    smoother.add([*contact_readings(0.0, 4.0), *arm(0.0, 4.0, 0.005)])
+    assert smoother.answer() is not None
+    smoother.add([*contact_readings(4.0, 30.0), *arm(4.0, 30.0, 0.0)])
+    assert smoother.answer() is None
+    smoother.add([*contact_readings(30.0, 32.0), *arm(30.0, 32.0, 0.005)])
+    assert smoother.answer() is not None
 
 
 def test_the_stops_height_is_not_used_as_the_pivots():

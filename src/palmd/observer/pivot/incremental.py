@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct
+from palmd.observer.pivot.reconstruct import LEAST_PATH_M, ONE_SIDE, PivotReconstruction, reconstruct
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
 from palmd.observer.smoothing import SimulatedSmoothingOfOne
 from palmd.score import score_outline
@@ -19,6 +19,7 @@ from palmd.system.reasons import Code, Reason
 WINDOW_S = {"rigid": 90.0, "float": 20.0}  # length of the readings that are kept
 LEAST_S = 3.0  # contact before anything is tried
 PERIOD_S = 1.0
+CONFIRMING_S = 4.2  # period of answers that take longer than `PERIOD_S`, so that the next one can confirm an outline
 ACCEPTED_M = 5e-5  # largest 1σ of an accepted outline on an exactly known rig; more readings improve it
 LATENCY_S = 0.5  # of a simulated smoother
 UNCONFIRMED = Reason(Code.UNCONFIRMED, "an outline was found; it is accepted once more readings confirm it")
@@ -32,6 +33,8 @@ class IncrementalPivotSmoother:
         self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
+        self._took_s = 0.0  # duration of the latest reconstruction
+        self._t_answer = -math.inf  # time of the last event in the latest answer
         # time and result of the first reconstruction with which all later ones agree
         self._before: tuple[float, PivotReconstruction] | None = None
 
@@ -50,13 +53,21 @@ class IncrementalPivotSmoother:
         readings = [event.t_sample for event in self._events if isinstance(event, PadSample)]
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
-        self._pads = len(readings)
+        if self._slides and not self._has_moved():
+            return None
+        self._pads, self._t_answer = len(readings), self._events[-1].t_sample
         if not self._slides and self._is_one_sided():
             return answer_of(PivotReconstruction(False, ONE_SIDE), readings[-1])
         found = reconstruct(self._events, self._rig)
+        self._took_s = found.seconds
         if self._slides and found.converged and not self._is_confirmed(found, readings[-1]):
             found = PivotReconstruction(False, UNCONFIRMED)
         return answer_of(found, readings[-1])
+
+    @property
+    def period_s(self) -> float:
+        """Shortest time from the start of the latest answer to the next (s)."""
+        return CONFIRMING_S if self._slides and self._took_s > PERIOD_S else PERIOD_S
 
     def _is_confirmed(self, found: PivotReconstruction, t: float) -> bool:
         """Whether all outlines of the last `AGREE_S` agree.
@@ -80,6 +91,17 @@ class IncrementalPivotSmoother:
         self._events = [
             event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= set_down
         ]
+
+    def _has_moved(self) -> bool:
+        """Whether the arm has moved along the pad since the latest answer, as far as is known.
+
+        At rest a body on a slide shows nothing new, and the readings that determined its outline leave the window.
+        """
+        if math.isinf(self._t_answer):
+            return True
+        since = [event for event in self._events if event.t_sample > self._t_answer]
+        places = [event.x for event in since if isinstance(event, GripperSample)]
+        return not places or max(places) - min(places) > LEAST_PATH_M
 
     def _is_one_sided(self) -> bool:
         """Whether all readings are on one side of the dead centre, so that a fit would be rejected."""

@@ -19,7 +19,7 @@ from palmd.observer.pivot.live import NIS_INITIAL, PivotObserver, Present
 from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotRig
 
-PAST_S = 20.0  # events kept, because an answer is about an earlier time
+PAST_S = 40.0  # events kept, because an answer is about an earlier time, on a busy machine much earlier
 CATCH_UP = 30  # old events per tick that a new filter takes
 INITIAL_PSI_SD = 3e-3  # rad; 1σ of ψ in an answer
 RATE_SD, RATE_CORRELATION_S = 0.15, 0.3  # 1σ of the rolling rate's error (rad/s) and its correlation time
@@ -167,8 +167,11 @@ class RollingObserver(PivotObserver):
             self._roll = self._catching_up = None
 
     def _start_tracking(self, answer: PivotAnswer) -> None:
+        is_forgotten = not self._history or self._history[0].t_sample > answer.t - GAP_S
+        if self._roll is not None and is_forgotten and answer.t >= self._contact_start:
+            return  # too late to start from: the outline in use keeps tracking
         body = AcceptedOutline(answer, self._rig)
-        if answer.t < self._contact_start or not self._recent or self._history[0].t_sample > answer.t - GAP_S:
+        if answer.t < self._contact_start or not self._recent or is_forgotten:
             self._body, self._psi, self._roll, self._catching_up = body, None, None, None
             return
         events = deque(event for event in self._history if event.t_sample > answer.t - GAP_S)
