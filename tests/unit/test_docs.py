@@ -94,8 +94,8 @@ def test_the_papers_map_names_existing_functions() -> None:
     named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/theory/paper.md").read_text())
     assert len(named) > 20
     for path, name in named:
-        package = "" if path.startswith("tools/") else "palmd."
-        module = importlib.import_module(package + path.replace("/", "."))
+        package = "" if path.startswith(("tools/", "tests/")) else "palmd."
+        module = importlib.import_module((package + path.replace("/", ".")).removeprefix("tests.helpers."))
         assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which does not exist"
 
 

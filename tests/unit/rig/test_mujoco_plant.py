@@ -128,7 +128,7 @@ def test_the_daemon_estimates_an_ellipse_moved_by_mujoco(mujoco_plant):
     loop.start()
     valid = [
         (instant.messages["palm/estimate"], instant.truth)
-        for instant in loop.run(5.0)
+        for instant in loop.run(6.5)
         if instant.messages["palm/estimate"]["valid"]
     ]
     assert len(valid) > 50
