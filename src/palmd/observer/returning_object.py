@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from palmd.events import FloatArray
 from palmd.observer.bank import Belief
 from palmd.observer.coverage import Coverage, contact_bins
 from palmd.observer.filters.base import Filters
@@ -113,7 +114,7 @@ class ReturningObject:
                 track.coverage = Coverage(known.touched, best, self._rig.curvatures)
                 bank.drop(blind)
             return Verdict.DECIDED
-        clear = not matches or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
+        clear = not matches or _largest(bank.score[blind]) - _largest(bank.score[~blind]) > BAYES_FACTOR
         if track.age(t) <= (LOOKED_AT_S if clear else UNDECIDED_S):
             return Verdict.OPEN
         self.memory.forget()
@@ -143,6 +144,11 @@ class ReturningObject:
 
     def identify(self, t: float, object_count: int) -> None:
         """None: there are no stored outlines."""
+
+
+def _largest(scores: FloatArray) -> float:
+    """The maximum; −∞ where pruning has left no filter of the kind."""
+    return float(scores.max(initial=-math.inf))
 
 
 def _touches_known_part(known: KnownObject, fusion: Fusion, best: int) -> bool:

@@ -13,6 +13,7 @@ from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.fixed_mode_test import FixedModeTest
+from palmd.observer.hypotheses import Verdict
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
 from palmd.observer.returning_object import ReturningObject
@@ -118,3 +119,22 @@ def test_the_fixed_mode_test_is_restored_with_the_object() -> None:
     hypotheses.candidate = replace(_known(), flat_side_test=before)
     hypotheses.accept(track)
     assert track.flat_side_test is before
+
+
+@pytest.mark.parametrize(
+    ("prior_age_s", "age_s", "verdict"),
+    [(0.0, 0.4, Verdict.OPEN), (0.0, 0.6, Verdict.REJECTED), (4.0, 0.6, Verdict.OPEN), (4.0, 3.1, Verdict.REJECTED)],
+)
+def test_a_bank_with_one_kind_of_filter_left_decides(prior_age_s: float, age_s: float, verdict: Verdict) -> None:
+    """Pruning may leave only blind filters, or only such that started from the stored object."""
+    hypotheses, track = ReturningObject(RigDescription(), MagicMock()), MagicMock()
+    known = replace(_known(), spread=np.zeros((1, 1)))  # confirmed, but touched nowhere yet where it is touched now
+    hypotheses.candidate, hypotheses._rough_mass = known, MagicMock(value=math.nan)
+    fusion = track.fusion
+    fusion.palms.at.return_value = np.array([0.7, 1.5])
+    fusion.forgetting.prior_age_s = np.full(8, prior_age_s)
+    fusion.bank.best.return_value, fusion.bank.score = 0, np.zeros(8)
+    fusion.named.return_value, fusion.curvatures = np.zeros((8, 18)), (0.0, 0.0)
+    fusion.filters.belief.return_value = known.x, known.P
+    track.age.return_value = age_s
+    assert hypotheses.decide(track, 1.0, settled=True) is verdict
