@@ -159,7 +159,7 @@ palmd init my.yaml
 
 A stepper driven by a text protocol, such as Grbl's, was considered and is not supported:
 
-- **It reports what it was told, not where it is.** After a lost step the reported angle is wrong, and palmd cannot
+- **It reports what it was commanded, not where it is.** After a lost step the reported angle is wrong, and palmd cannot
   notice it, because set-point and report agree. The outline is then wrong too. A servo reports its encoder.
 - **The protocols are made for milling.** Grbl queues moves, while palmd replaces its goal every 10 ms. It recommends at
   most 5 to 10 status reports a second, while palmd holds the motion when a report is 80 ms old. It has no watchdog:
