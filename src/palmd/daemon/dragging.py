@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 
 from palmd.daemon.exploring import ExplorationControl, ExplorationInputs
 from palmd.daemon.setpoints import SetPoints
