@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 
 from palmd.daemon.exploring import ExplorationControl, ExplorationInputs
 from palmd.daemon.setpoints import SetPoints
@@ -33,7 +32,7 @@ class DragExploration(ExplorationControl):
         del t
         current, limits = self._setpoints.exploration, self._setpoints.limits
         if current is None or not isinstance(limits, PivotLimits):
-            self.under_way, self._goal = None, math.nan
+            self.under_way = None  # coverage and goal of the last exploration are still published
             return
         exploration, tau = current
         if exploration is not self.under_way or self._drags is None:

@@ -221,6 +221,12 @@ def test_the_pad_carries_the_weight_of_body_and_carriage(slide):
     assert "rolled to and fro, and the outline is known" in slide.rig.core.exploring.reason
 
 
+def test_the_goal_of_a_completed_exploration_is_still_published(slide):
+    state = slide.published("palm/state")[-1]
+    assert not state["exploring"]
+    assert state["coverage"] >= state["coverage_goal"]
+
+
 def test_the_arm_reports_the_pivot_and_not_the_stop(slide):
     last = slide.ticks[-1]
     reported, stop = last.messages["palm/pivot_motion"]["z_m"], last.messages["palm/pivot_motion"]["z_cmd_m"]
