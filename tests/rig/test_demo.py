@@ -26,7 +26,7 @@ SUMMARY = re.compile(
     r"omega0 \d\.\d{3} rad/s, "
     r"rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, "
     r"work p99 \d+\.\d ms, rig with residual calibration errors"
-    r"(, which \d+ times got no processor, for \d+\.\d\d s in all)?\n"  # printed if the machine was busy
+    r"(, which got no processor time (?:once|\d+ times), \d+\.\d\d s in total)?\n"  # printed if the machine was busy
 )
 
 
