@@ -74,8 +74,8 @@ class Motion:
     """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
 
     least: smallest force on each contact within a vibration (m/s²). discrepancy: spectral density ((rad/s²)²/Hz) of
-    α0's error due to the friction law, 0 for the averaged law; hopping: the part of it due to hopping contacts. pull:
-    the force (m/s²) with which contacts would have to pull, and hop instead.
+    α0's error due to the friction law, 0 for the averaged law; hopping: the part of it due to hopping contacts.
+    pulling_force: with which contacts would have to pull, and hop instead (m/s²).
     softened_alpha0: α0 with the directions `Averaged.softened`; its derivative by ω0 is the rate for
     `exponential_step`, since that of α0 jumps where the ripple begins to stick.
     """
@@ -86,7 +86,7 @@ class Motion:
     least: tuple[SX, ...]
     discrepancy: SX
     hopping: SX
-    pull: SX
+    pulling_force: SX
     softened_alpha0: SX
 
     @property
@@ -194,5 +194,5 @@ def newton_euler(
 
     hopping = HOP_NOISE_S * mean.pulled**2
     uncertain = (1 - rig[VIBRATION_INPUTS][2]) * FRICTION_NOISE_S * (by_friction(0, f1) ** 2 + by_friction(1, f2) ** 2)
-    discrepancy, softened_alpha0 = uncertain + hopping, solve(mean.softened)[0]
-    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), discrepancy, hopping, mean.pull, softened_alpha0)
+    least, softened_alpha0 = mean.least_forces((f1, f2)), solve(mean.softened)[0]
+    return Motion(alpha0, f1, f2, least, uncertain + hopping, hopping, mean.pulling_force, softened_alpha0)

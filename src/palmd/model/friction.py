@@ -268,7 +268,7 @@ class Averaged:
     directions: of friction at each contact, for which one solve of the contact equations gives the mean forces;
     softened: the same by `softened_speeds`, which vary with the slips about as much as `directions`, but without jumps.
     pair_forces, shares, wedged: normal forces (m/s²), share of time and wedging of each of `SIGN_PAIRS`. transmission:
-    λ, 0 with the averaged law. pulled, pull: both results of `pulled`.
+    λ, 0 with the averaged law. pulled, pulling_force: both results of `pulled`.
     """
 
     directions: tuple[SX, ...]
@@ -278,7 +278,7 @@ class Averaged:
     wedged: tuple[SX, ...]
     transmission: SX
     pulled: SX
-    pull: SX
+    pulling_force: SX
 
     def least_forces(self, means: Sequence[SX]) -> tuple[SX, ...]:
         """Return the smallest force on each contact within a vibration (m/s²), given the mean forces; at 0 it hops.
@@ -321,5 +321,5 @@ def averaged(
     slower = softened_speeds(speed, drive)
     softened, _ = directions([mean_direction(u / v) for u, v in zip(slip, slower, strict=True)], SX(0))
     wedged_pairs = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
-    hopping, pull = (transmission * each for each in pulled(forces, shares, mu, body))
-    return Averaged(rippled, softened, forces, shares, wedged_pairs, transmission, hopping, pull)
+    hopping, pulling_force = (transmission * each for each in pulled(forces, shares, mu, body))
+    return Averaged(rippled, softened, forces, shares, wedged_pairs, transmission, hopping, pulling_force)

@@ -2,8 +2,8 @@
    Compilers keep intermediate results of wider vectors in memory, which is many times slower.
 
    Only additions, multiplications, divisions, roots and bit operations, none of them contracted: one column gives the
-   same bits as eight, on any processor. sin, cos, exp, log and atan are fdlibm's (Sun Microsystems 1993), within an ulp or two
-   of libm's; the angle's last bits are dropped, and beyond MOST_ANGLE the result is NaN.
+   same bits as eight, on any processor. sin, cos, exp, log and atan are fdlibm's (Sun Microsystems 1993), within an ulp
+   or two of libm's; the angle's last bits are dropped, and beyond MOST_ANGLE the result is NaN.
 
    Define LANES before including it, and include it once per translation unit. */
 

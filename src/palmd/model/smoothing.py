@@ -200,7 +200,7 @@ def discrepancy_function(form: Form = SMOOTH) -> ca.Function:
     model = _ContactModel(form.outline, touch_on(rig, form.curved), u[-2:])
     motion = _motion(x[0], x[1], p, palms, rig, model)
     braking = ca.jacobian(motion.softened_alpha0, x[1])
-    q = ca.vertcat(ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0]), motion.pull)
+    q = ca.vertcat(ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0]), motion.pulling_force)
     return ca.Function("discrepancy", [x, p, u], model.touch.thawed(q), ["x", "p", "u"], ["q"])
 
 

@@ -270,20 +270,16 @@ class Residuals:
         """What the friction law leaves open: of ω0 in each step ((rad/s)²/s), and of each force reading (N²).
 
         hopping_only: of ω0 only in steps in which contacts hop. A force is off by about what contacts would have to
-        pull (study of engines, 2026-11-30: 0.03 and 0.055 N where they would pull by 0.03 and 0.06 N).
+        pull (study 2026-11-30, Drake in antiphase, seed 7000: where that is 0.06 and 0.1 N, forces are off by 2.3 and
+        1.9σ of their noise, and by 1.0 and 0.6σ with it).
         """
         steps, left = len(self.record.dt), np.zeros((len(self._a) + 1, 3))
         self._take(guess)
         self._a[:steps] = guess.x[:-1]
         self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [left[:-1]])()
         left[steps:] = 0.0
-        density = left[: steps + 1, int(hopping_only)]
-        pull = math.exp(guess.p[C.LN_MASS]) * np.nan_to_num(
-            left[self.record.force_step, 2], nan=MOST_PULL, posinf=MOST_PULL
-        )
-        return np.minimum(np.nan_to_num(density, nan=MOST_DISCREPANCY), MOST_DISCREPANCY), np.minimum(
-            pull, MOST_PULL
-        ) ** 2
+        pull = math.exp(guess.p[C.LN_MASS]) * left[self.record.force_step, 2]
+        return _at_most(left[: steps + 1, int(hopping_only)], MOST_DISCREPANCY), _at_most(pull, MOST_PULL) ** 2
 
     def residuals(self, guess: Guess) -> FloatArray:
         """Residual of each contact reading, normalised by the σ of its noise."""
@@ -332,6 +328,11 @@ class Residuals:
             contacts.cost + forces.cost + process_cost, contacts.chi2, forces.chi2, process_cost, 0.0,
             contacts.outliers, contacts.outlier_run, assembled.banded, assembled.rows, assembled.corner, self.constants,
         )  # fmt: skip
+
+
+def _at_most(values: FloatArray, most: float) -> FloatArray:
+    """The values, limited to `most`, which also stands for what is not a number."""
+    return np.minimum(np.nan_to_num(values, nan=most), most)
 
 
 def _step_weights(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:

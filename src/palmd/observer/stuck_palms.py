@@ -132,12 +132,9 @@ def dithered(record: Record) -> FloatArray:
 
 def without_dithered_forces(record: Record) -> Record:
     """The record in which forces between such reversals do not count."""
-    reversals, t = dithered(record), record.force_t
-    after = np.searchsorted(reversals, t)
-    within = (after > 0) & (after < len(reversals))
-    at = np.clip(after, 1, max(len(reversals) - 1, 1))
-    between = np.diff(reversals, prepend=0.0)[at] < DITHERED_S if len(reversals) > 1 else np.zeros(len(t), np.bool_)
-    return replace(record, force_weight=record.force_weight * ~(within & between))
+    reversals = np.concatenate([[-math.inf], dithered(record), [math.inf]])
+    after = np.searchsorted(reversals, record.force_t)
+    return replace(record, force_weight=record.force_weight * (reversals[after] - reversals[after - 1] >= DITHERED_S))
 
 
 def stuck_guess(record: Record, start: FilterStart) -> StuckGuess | float:
