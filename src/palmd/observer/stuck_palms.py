@@ -125,8 +125,8 @@ def dithered(record: Record) -> FloatArray:
     """
     opening = np.sign(record.palms[:, len(JOINTS) + OPENING])
     reversals = record.t[np.flatnonzero(np.diff(opening)) + 1]
-    quick = np.diff(reversals) < DITHERED_S
-    times: FloatArray = reversals[np.append(quick, False) | np.append(False, quick)]
+    quick = np.diff(reversals, prepend=-math.inf, append=math.inf) < DITHERED_S
+    times: FloatArray = reversals[quick[:-1] | quick[1:]]
     return times
 
 

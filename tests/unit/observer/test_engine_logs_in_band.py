@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import lzma
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,3 +110,12 @@ def test_only_quick_reversals_of_the_palms_are_a_dither(dithered_log, antiphase)
     assert 0.7 < counted.mean() < 0.99
     (segment,) = data_segments(antiphase[0].events)
     assert not len(dithered(Search(segment, antiphase[0].rig).record)), "rocking alone"
+
+
+def test_palms_that_only_open_are_not_dithered(dithered_log) -> None:
+    log, _ = dithered_log
+    (segment,) = data_segments(log.events)
+    record = Search(segment, log.rig).record
+    record = replace(record, palms=np.abs(record.palms))
+    assert not len(dithered(record))
+    assert (without_dithered_forces(record).force_weight == record.force_weight).all()
