@@ -8,7 +8,7 @@ argument `xp` is numpy. Safe inside the loop: nothing allocates but arrays, noth
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,14 +19,21 @@ KINK = 0.02
 LEAST_DETERMINANT = 0.02  # relative to the one without friction; below it the body is wedged and the law does not hold
 LEAST_FORCE = 1e-9  # m/s²; gives 0 instead of 0/0 for a contact that is never loaded
 LEAST_RIPPLE = 1e-7  # m/s; gives the ripple a derivative at 0
-LEAST_DIRECTION = 1e-6  # gives the bound on a mean direction a derivative at 0
-LEAST_DRIVE = 0.3
-"""In units of V: drive below which sticking is neglected (derivation: a_ii is at most 0.08 V, and sticking lasts for a
-smaller part of the period than the smooth kink rounds off)."""
+LEAST_PEAK = 0.02  # of p (1 − p), for a drive relative to it
+STICKING = (
+    (-0.0351, 0.5288, 0.6267),
+    (-0.0169, 1.1205, -1.6415),
+    (0.416, -1.0386, 0.4305),
+)
+"""Coefficients of `sticking_direction`, of x^i ((D − 3)/2)^j (numerics: fit of the exact solution for a contact alone, of
+which it differs by at most 0.01 for D of 2.6 to 5, and by at most 0.02 down to 1.3)."""
+STICKING_DRIVE, MOST_DRIVE = 1.3, 5.1
+"""In units of V: drive from which sticking at the reversals counts; and the largest for which the law holds: from 2π on
+a contact at rest sticks all the time."""
 RELAXED = 0.7
 """Relaxation factor of every iteration but the first towards the ripple that is consistent with its time shares
 (numerics: full steps overshoot, as a larger ripple makes the shares more equal)."""
-FRICTION_NOISE_S = 1e-4
+FRICTION_NOISE_S = 2e-4
 """Spectral density (s) of α0's error, divided by the square of friction's contribution to α0 at a contact: 2 ε² τ for a
 force with an error of ε = 2 % that lasts for τ = 0.12 s (study of resolved vibrations, 2026-11-30, eight demos over
 wires with μ 0.05 to 0.25: medians of 0.7e-4 to 4.5e-4; third harmonics of 2 %, typical of shakers, do as much)."""
@@ -159,30 +166,66 @@ class SlipResponse:
 
 
 def drives(
-    forces: Sequence[Sequence[Any]], mu: Sequence[Any], body: SlipResponse
+    forces: Sequence[Sequence[Any]], mu: Sequence[Any], body: SlipResponse, shares: Sequence[Any]
 ) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     """Return how far an alternating sign drives each slip (m/s): D_ij = G_i ∂α0/∂s_j /f, j the alternating contact.
 
-    The derivative is the mean over the other contact's sign. Negative on the diagonal, unless the normal forces
-    alternate by more than friction.
+    The derivative is a mean over the other contact's sign, of which `shares` are the shares of forward slip of each
+    contact. Negative on the diagonal, unless the normal forces alternate by more than friction.
     """
     both, one_only, two_only, none = (
         -sum(f * (d + m * s * r) for f, d, r, m, s in zip(pressed, body.d, body.r, mu, signs, strict=True)) / body.rho2
         for pressed, signs in zip(forces, SIGN_PAIRS, strict=True)
     )  # α0 of each pair, without the part common to all
-    by = both - two_only + one_only - none, both - one_only + two_only - none
-    one, two = (tuple(turning * body.half_period / 2 * each for each in by) for turning in body.turning)
+    p1, p2 = shares
+    by = p2 * (both - two_only) + (1 - p2) * (one_only - none), p1 * (both - one_only) + (1 - p1) * (two_only - none)
+    one, two = (tuple(turning * body.half_period * each for each in by) for turning in body.turning)
     return one, two
 
 
-def softened_speeds(speed: Any, drive: Sequence[Sequence[Any]]) -> tuple[Any, Any]:
-    """Return V/√(1 + a_i²/V²) for each contact, a_i² = (D_ii² + D_ij²/3)/16: in slow slip the ripple acts like this V.
+def _sticking_shape(x: Any, drive: Any) -> Any:
+    """(σ/x − 1)/(1 − x) of `sticking_direction`, for x of 0 to 1."""
+    z, value = (drive - 3) / 2, 0.0
+    for row in reversed(STICKING):
+        value = value * x + (row[0] + z * (row[1] + z * row[2]))
+    return value
 
-    A ripple of a_i makes the mean direction steeper at u = 0, as if V were √(V² − a_i²); this agrees with it to second
-    order and does not jump where the ripple begins to stick.
+
+def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
+    """Return the mean direction of a contact that sticks at its reversals, since its own friction drives its slip.
+
+    ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. It sticks where the slip that
+    friction causes would change faster than that of the vibration (docs/theory/vibration.md, ripple).
     """
-    one, two = (speed / ca.sqrt(1 + (drive[i][i] ** 2 + drive[i][1 - i] ** 2 / 3) / (4 * speed) ** 2) for i in range(2))
+    x = xp.fmax(xp.fmin(ratio, 1), -1)
+    size = xp.fabs(x)
+    return x * (1 + (1 - size) * _sticking_shape(size, drive))
+
+
+def _sticking_share(drive: Any) -> Any:
+    """How far a drive (in units of V) is beyond `STICKING_DRIVE`, 0 to 1."""
+    return drive**6 / (drive**6 + STICKING_DRIVE**6)
+
+
+def softened_directions(slips: Sequence[Any], speed: Any, drive: Sequence[Sequence[Any]]) -> tuple[Any, Any]:
+    """Return mean directions without iterations, that vary with the slips about as much as `rippled_directions`.
+
+    In slow slip a ripple a² = (D_ii² + D_ij²/3)/16 acts like a vibration of V/√(1 + a²/V²), to second order; contacts
+    that stick follow `sticking_direction`.
+    """
+
+    def softened(slip: Any, own: Any, other: Any) -> Any:
+        free = mean_direction(slip / speed * ca.sqrt(1 + (own**2 + other**2 / 3) / 16))
+        return free + _sticking_share(own) * (sticking_direction(slip / speed, own) - free)
+
+    one, two = (
+        softened(slip, _own_drive(drive[i][i], speed), drive[i][1 - i] / speed) for i, slip in enumerate(slips)
+    )
     return one, two
+
+
+def _own_drive(drive: Any, speed: Any) -> Any:
+    return ca.fmin(ca.fmax(-drive / speed, 0), MOST_DRIVE)
 
 
 def _sign_integral(x: SX, share: SX) -> SX:
@@ -192,16 +235,12 @@ def _sign_integral(x: SX, share: SX) -> SX:
     return ca.fmax(ca.fmin(rising, falling), -fallen)
 
 
-def _sticking_direction(room: SX, stray: SX, drive: SX) -> SX:
-    """√(1 − 4 room/drive): smallest mean direction if the ripple is limited to `room` ± `stray` (m/s)."""
-    one, other = (
-        ca.sqrt(ca.fmax(1 - 4 * ca.fmax(each, 0) / drive, LEAST_DIRECTION**2)) for each in (room + stray, room - stray)
-    )
-    return (one + other) / 2 - 2 * LEAST_DIRECTION  # negative where nothing sticks: the caller's fmax has no ties
-
-
 def rippled_directions(
-    slips: Sequence[SX], speed: SX, drive: Sequence[Sequence[SX]], kappa: SX, steps: int = 1
+    slips: Sequence[SX],
+    speed: SX,
+    drives_of: Callable[[Sequence[SX]], Sequence[Sequence[SX]]],
+    kappa: SX,
+    steps: int = 1,
 ) -> tuple[tuple[SX, SX], SX]:
     """Return the mean direction of each slip and the lag (periods) of slip 1 behind slip 2, with the body's ripple.
 
@@ -209,9 +248,9 @@ def rippled_directions(
     u_i + V cos τ (docs/theory/vibration.md, ripple). A contact reverses at u_i + w, where w is their value at that
     time: from its own sign a_ii = D_ii p_i (1 − p_i) backwards and −a_ii forwards; from an independent palm anything
     between ±a_ij (RMS a_ij/√3); from a palm of the same frequency a value set by its phase, which shifts both slips
-    against each other. The ripple cannot carry a slip beyond the vibration's reversal: where |u_i| + |a_ii| > V, the
-    contact sticks for part of the period, so that |a_ii| is V − |u_i| and σ_i² = 1 − 4 (V − |u_i|)/|D_ii|, 1 from V on.
-    drive: `drives`.
+    against each other, and adds to the drive by its own sign. Where that is large, the contact sticks at its reversals:
+    `sticking_direction`.
+    drives_of: `drives` as a function of the shares of forward slip.
     """
     coherent, antiphase = ca.fabs(kappa), ca.fmax(ca.sign(kappa), 0)
     independent, shift = 1 - coherent, (1 - antiphase) / 2
@@ -219,6 +258,7 @@ def rippled_directions(
     for step in range(steps):
         part = RELAXED if step else 1.0
         shares = [(1 + each) / 2 for each in sigma]
+        drive = drives_of(shares)
         peaks = [each * (1 - each) for each in shares]
         new_sigma, new_lags = [], []
         for i, u in enumerate(slips):
@@ -233,13 +273,13 @@ def rippled_directions(
             alone = coherent * own - spread
             ends = [ca.fmax(ca.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
             end, begin = (mean_direction((u + each) / speed) for each in ends)
-            mean, least = (end + begin) / 2, LEAST_DRIVE * speed
-            damping = ca.fmax(-drive[i][i], least)
-            sticking = 1 / (1 + (least / ca.fmax(-drive[i][i], LEAST_RIPPLE)) ** 4)
-            mean = mean + sticking * (
-                ca.fmax(_sticking_direction(speed - u - forward, stray, damping) - ca.fmax(mean, 0), 0)
-                - ca.fmax(_sticking_direction(speed + u + backward, stray, damping) - ca.fmax(-mean, 0), 0)
-            )
+            together = drive[i][i] + (backward - forward) / (2 * ca.fmax(peaks[i], LEAST_PEAK))
+            size, shifted = _own_drive(together, speed), u + (backward + forward) / 2
+            sticking = (
+                sticking_direction((shifted + stray) / speed, size) + sticking_direction((shifted - stray) / speed, size)
+            ) / 2
+            mean = (end + begin) / 2
+            mean = mean + _sticking_share(size) * (sticking - mean)
             new_sigma.append(sigma[i] + part * (mean - sigma[i]))
             new_lags.append(lags[i] + part * ((end - begin) / 8 - lags[i]))
         sigma, lags = new_sigma, new_lags
@@ -266,7 +306,7 @@ class Averaged:
     """Friction averaged over the vibration.
 
     directions: of friction at each contact, for which one solve of the contact equations gives the mean forces;
-    softened: the same by `softened_speeds`, which vary with the slips about as much as `directions`, but without jumps.
+    softened: the same by `softened_directions`, which vary with the slips about as much as `directions`, but without jumps.
     pair_forces, shares, wedged: normal forces (m/s²), share of time and wedging of each of `SIGN_PAIRS`. transmission:
     λ, 0 with the averaged law. pulled, pulling_force: both results of `pulled`.
     """
@@ -316,10 +356,12 @@ def averaged(
         shares = sign_shares(sigma, kappa, lag)
         return effective_directions(forces, sigma, shares, transmission), shares
 
-    drive = drives(forces, mu, body)
-    rippled, shares = directions(*rippled_directions(slip, speed, drive, kappa, steps))
-    slower = softened_speeds(speed, drive)
-    softened, _ = directions([mean_direction(u / v) for u, v in zip(slip, slower, strict=True)], SX(0))
+
+    def drives_of(shares: Sequence[SX]) -> tuple[tuple[SX, SX], tuple[SX, SX]]:
+        return drives(forces, mu, body, shares)
+
+    rippled, shares = directions(*rippled_directions(slip, speed, drives_of, kappa, steps))
+    softened, _ = directions(softened_directions(slip, speed, drives_of([SX(0.5), SX(0.5)])), SX(0))
     wedged_pairs = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
     hopping, pulling_force = (transmission * each for each in pulled(forces, shares, mu, body))
     return Averaged(rippled, softened, forces, shares, wedged_pairs, transmission, hopping, pulling_force)
