@@ -19,17 +19,16 @@ KINK = 0.02
 LEAST_DETERMINANT = 0.02  # relative to the one without friction; below it the body is wedged and the law does not hold
 LEAST_FORCE = 1e-9  # m/s²; gives 0 instead of 0/0 for a contact that is never loaded
 LEAST_RIPPLE = 1e-7  # m/s; gives the ripple a derivative at 0
-LEAST_PEAK = 0.02  # of p (1 − p), for a drive relative to it
 STICKING = (
-    (-0.0351, 0.5288, 0.6267),
-    (-0.0169, 1.1205, -1.6415),
-    (0.416, -1.0386, 0.4305),
+    (0.1155, 0.5881, 0.4392, 1.0355),
+    (0.3783, 1.3752, -1.8168, -3.7489),
+    (-0.0978, -1.8861, 1.0423, 3.4265),
 )
-"""Coefficients of `sticking_direction`, of x^i ((D − 3)/2)^j (numerics: fit of the exact solution for a contact alone, of
-which it differs by at most 0.01 for D of 2.6 to 5, and by at most 0.02 down to 1.3)."""
-STICKING_DRIVE, MOST_DRIVE = 1.3, 5.1
-"""In units of V: drive from which sticking at the reversals counts; and the largest for which the law holds: from 2π on
-a contact at rest sticks all the time."""
+"""Coefficients of `sticking_direction`, of x^i ((D − 3.5)/2)^j (numerics: fit of the exact solution of a single contact,
+0.002 RMS and 0.015 at most from D 0.5 to 5.3, together with `rippled_directions`)."""
+STICKING_AT_REST, STICKING_DRIVE, MOST_DRIVE = 3.4, 0.3, 5.3
+"""In units of V: drive from which a contact sticks even in slow slip (derivation: (D/4)² + (D/2π)² = 1, 3.37); from which
+it sticks noticeably near u = V (numerics); and the largest for which the law holds: from 2π on it always sticks at rest."""
 RELAXED = 0.7
 """Relaxation factor of every iteration but the first towards the ripple that is consistent with its time shares
 (numerics: full steps overshoot, as a larger ripple makes the shares more equal)."""
@@ -183,28 +182,31 @@ def drives(
     return one, two
 
 
-def _sticking_shape(x: Any, drive: Any) -> Any:
-    """(σ/x − 1)/(1 − x) of `sticking_direction`, for x of 0 to 1."""
-    z, value = (drive - 3) / 2, 0.0
-    for row in reversed(STICKING):
-        value = value * x + (row[0] + z * (row[1] + z * row[2]))
-    return value
-
-
 def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
-    """Return the mean direction of a contact that sticks at its reversals, since its own friction drives its slip.
+    """Return the mean direction of a contact that sticks at its reversals, as its own friction drives its slip so fast.
 
-    ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. It sticks where the slip that
-    friction causes would change faster than that of the vibration (docs/theory/vibration.md, ripple).
+    ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. A contact sticks where friction
+    changes its slip faster than the vibration does (docs/theory/vibration.md, ripple).
     """
     x = xp.fmax(xp.fmin(ratio, 1), -1)
-    size = xp.fabs(x)
-    return x * (1 + (1 - size) * _sticking_shape(size, drive))
+    size, z, shape = xp.fabs(x), (drive - 3.5) / 2, 0.0
+    for row in reversed(STICKING):
+        coefficient = 0.0
+        for each in reversed(row):
+            coefficient = coefficient * z + each
+        shape = shape * size + coefficient
+    return x * (1 + (1 - size) * shape)
 
 
-def _sticking_share(drive: Any) -> Any:
-    """How far a drive (in units of V) is beyond `STICKING_DRIVE`, 0 to 1."""
-    return drive**6 / (drive**6 + STICKING_DRIVE**6)
+def _sticking(free: Any, sticking: Any, ratio: Any, drive: Any) -> Any:
+    """The mean direction out of those of a contact that never sticks and of one that sticks at its reversals.
+
+    Below `STICKING_AT_REST` a contact sticks where that makes its direction larger, above it always.
+    """
+    always, noticeable = (drive**n / (drive**n + limit**n) for n, limit in ((24, STICKING_AT_REST), (4, STICKING_DRIVE)))
+    forward = ca.sign(ratio)
+    larger = forward * ca.fmax(forward * (sticking - free), 0)
+    return free + noticeable * (larger + always * (sticking - free - larger))
 
 
 def softened_directions(slips: Sequence[Any], speed: Any, drive: Sequence[Sequence[Any]]) -> tuple[Any, Any]:
@@ -216,7 +218,7 @@ def softened_directions(slips: Sequence[Any], speed: Any, drive: Sequence[Sequen
 
     def softened(slip: Any, own: Any, other: Any) -> Any:
         free = mean_direction(slip / speed * ca.sqrt(1 + (own**2 + other**2 / 3) / 16))
-        return free + _sticking_share(own) * (sticking_direction(slip / speed, own) - free)
+        return _sticking(free, sticking_direction(slip / speed, own), slip, own)
 
     one, two = (
         softened(slip, _own_drive(drive[i][i], speed), drive[i][1 - i] / speed) for i, slip in enumerate(slips)
@@ -250,7 +252,8 @@ def rippled_directions(
     between ±a_ij (RMS a_ij/√3); from a palm of the same frequency a value set by its phase, which shifts both slips
     against each other, and adds to the drive by its own sign. Where that is large, the contact sticks at its reversals:
     `sticking_direction`.
-    drives_of: `drives` as a function of the shares of forward slip.
+    drives_of: `drives` as a function of the other contact's shares of forward slip, ½ for coherent ones: both of their
+    signs change together.
     """
     coherent, antiphase = ca.fabs(kappa), ca.fmax(ca.sign(kappa), 0)
     independent, shift = 1 - coherent, (1 - antiphase) / 2
@@ -258,7 +261,7 @@ def rippled_directions(
     for step in range(steps):
         part = RELAXED if step else 1.0
         shares = [(1 + each) / 2 for each in sigma]
-        drive = drives_of(shares)
+        drive = drives_of([coherent / 2 + independent * each for each in shares])
         peaks = [each * (1 - each) for each in shares]
         new_sigma, new_lags = [], []
         for i, u in enumerate(slips):
@@ -273,13 +276,11 @@ def rippled_directions(
             alone = coherent * own - spread
             ends = [ca.fmax(ca.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
             end, begin = (mean_direction((u + each) / speed) for each in ends)
-            together = drive[i][i] + (backward - forward) / (2 * ca.fmax(peaks[i], LEAST_PEAK))
-            size, shifted = _own_drive(together, speed), u + (backward + forward) / 2
+            size, shifted = _own_drive(drive[i][i], speed), u + (backward + forward) / 2
             sticking = (
                 sticking_direction((shifted + stray) / speed, size) + sticking_direction((shifted - stray) / speed, size)
             ) / 2
-            mean = (end + begin) / 2
-            mean = mean + _sticking_share(size) * (sticking - mean)
+            mean = _sticking((end + begin) / 2, sticking, shifted, size)
             new_sigma.append(sigma[i] + part * (mean - sigma[i]))
             new_lags.append(lags[i] + part * ((end - begin) / 8 - lags[i]))
         sigma, lags = new_sigma, new_lags
