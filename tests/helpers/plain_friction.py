@@ -6,36 +6,53 @@ Columns, real or complex, are independent bodies.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from palmd.model.friction import KINK, LEAST_DIRECTION, LEAST_DRIVE, LEAST_RIPPLE, RELAXED
+from palmd.model.friction import (
+    KINK,
+    LEAST_RIPPLE,
+    MOST_DRIVE,
+    RELAXED,
+    STICKING,
+    STICKING_AT_REST,
+    STICKING_DRIVE,
+)
 
 Array = npt.NDArray[Any]  # real or complex
 
 SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
-def by_sign(spin: Mapping[tuple[int, int], Array]) -> Array:
-    """Change of α0 when the slip sign of contact 1, and of contact 2, goes from −1 to 1."""
-    return np.array([sum(signs[contact] * of for signs, of in spin.items()) for contact in range(2)])
+def by_sign(spin: Mapping[tuple[int, int], Array], p: Array) -> Array:
+    """Change of α0 when the slip sign of contact 1, and of contact 2, goes from −1 to 1.
+
+    p: share of the time in which the other contact's sign is positive, for each other contact.
+    """
+    changes = []
+    for contact in range(2):
+        other = {sign: p[1 - contact] if sign > 0 else 1 - p[1 - contact] for sign in (1, -1)}
+        changes.append(sum(signs[contact] * other[signs[1 - contact]] * of for signs, of in spin.items()))
+    return np.array(changes)
 
 
 def rippled_directions(
-    slip: Array, speed: Array, drive: Array, kappa: float | Array, steps: int = 1
+    slip: Array, speed: Array, drive_of: Callable[[Array], Array], kappa: float | Array, steps: int = 1
 ) -> tuple[Array, Array]:
     """Mean direction of each slip, and the lag of contact 1 behind contact 2 in periods, caused by the body's ripple.
 
-    drive[i, j]: change of slip i (m/s) in a period driven by the sign of contact j.
+    drive_of: from the shares of positive signs, [i, j] the change of slip i (m/s) in a period driven by the sign of
+    contact j.
     """
     together, apart = np.abs(kappa), 1 - np.abs(kappa)
     half = np.where(np.asarray(kappa) > 0, 0.0, 0.5)
     mean, late = mean_direction(slip / speed), np.zeros_like(slip)
     for step in range(steps):
         p = (1 + mean) / 2
+        drive = drive_of(together / 2 + apart * p)
         found, lags = np.empty_like(mean), np.empty_like(mean)
         for i, j in ((0, 1), (1, 0)):
             own, other = drive[i, i] * p[i] * (1 - p[i]), drive[i, j] * p[j] * (1 - p[j])
@@ -48,24 +65,47 @@ def rippled_directions(
                 w = np.where(w.real > speed.real, speed, np.where(w.real < -speed.real, -speed, w))
                 tips.append(mean_direction((slip[i] + w) / speed))
                 swings.append(swing)
-            least = LEAST_DRIVE * speed
-            own_drive = np.where(-drive[i, i].real > least.real, -drive[i, i], least)
-            middle = (tips[0] + tips[1]) / 2
-            ahead = _beyond(speed - slip[i] - swings[1], stray, own_drive)
-            behind = _beyond(speed + slip[i] + swings[0], stray, own_drive)
-            drives = np.where(-drive[i, i].real > LEAST_RIPPLE, -drive[i, i], LEAST_RIPPLE)
-            sticking = 1 / (1 + (least / drives) ** 4)
-            found[i] = middle + sticking * (positive(ahead - positive(middle)) - positive(behind - positive(-middle)))
+            middle, size = slip[i] + (swings[0] + swings[1]) / 2, own_drive(drive[i, i], speed)
+            stuck = sum(sticking_direction((middle + side * stray) / speed, size) for side in (1, -1)) / 2
+            found[i] = either(np.asarray((tips[0] + tips[1]) / 2), np.asarray(stuck), middle, size)
             lags[i] = (tips[0] - tips[1]) / 8
         part = RELAXED if step else 1.0
         mean, late = mean + part * (found - mean), late + part * (lags - late)
     return mean, late[0] - late[1]
 
 
+def own_drive(drive: Array, speed: Array) -> Array:
+    """Drive of a slip by its own sign, positive where friction resists, in units of the vibration's speed."""
+    size = -drive / speed
+    return np.where(size.real > 0.0, np.where(size.real < MOST_DRIVE, size, MOST_DRIVE), 0.0)
+
+
+def sticking_direction(x: Array, drive: Array) -> Array:
+    """Mean direction of a contact that sticks at each reversal: a polynomial fit."""
+    x = np.where(x.real > 1.0, 1.0, np.where(x.real < -1.0, -1.0, x))
+    size = np.where(x.real < 0.0, -x, x)
+    powers = [((drive - 3.5) / 2) ** j for j in range(len(STICKING[0]))]
+    bend = sum(c * z * size**i for i, row in enumerate(STICKING) for c, z in zip(row, powers, strict=True))
+    return np.asarray(x + x * (1 - size) * bend)
+
+
+def either(free: Array, stuck: Array, slip: Array, drive: Array) -> Array:
+    """The direction without sticking or with it: the larger one in slow drives, the latter in fast ones."""
+    side = np.where(slip.real > 0.0, 1.0, -1.0) * (slip.real != 0.0)
+    more = side * positive(side * (stuck - free))
+    always = 1 / (1 + (STICKING_AT_REST / np.where(drive.real > 1e-3, drive, 1e-3)) ** 24)
+    noticed = 1 / (1 + (STICKING_DRIVE / np.where(drive.real > 1e-3, drive, 1e-3)) ** 4)
+    return np.asarray(free + noticed * (more * (1 - always) + always * (stuck - free)))
+
+
 def softened_direction(slip: Array, speed: Array, drive: Array) -> Array:
-    """Mean direction of each slip for a vibration reduced by the amount that the ripple steepens it."""
-    swing = [np.sqrt(drive[i, i] ** 2 + drive[i, 1 - i] ** 2 / 3) / 4 for i in range(2)]
-    return mean_direction(np.array([u * np.sqrt(speed**2 + a**2) / speed**2 for u, a in zip(slip, swing, strict=True)]))
+    """Mean direction of each slip without iterations: of a steeper one, or of one that sticks."""
+    found = []
+    for i, u in enumerate(slip):
+        own = own_drive(drive[i, i], speed)
+        free = mean_direction(u / speed * np.sqrt(1 + (own**2 + (drive[i, 1 - i] / speed) ** 2 / 3) / 16))
+        found.append(either(free, sticking_direction(u / speed, own), u, own))
+    return np.array(found)
 
 
 def _swung(x: Array, share: Array) -> Array:
@@ -74,13 +114,6 @@ def _swung(x: Array, share: Array) -> Array:
     side = np.where(x.real < 0, -1, 1)
     inside = np.abs(x.real) < share.real / 2
     return np.asarray(np.where(inside, 2 * (1 - share) * x, share * (side - 2 * x)))
-
-
-def _beyond(room: Array, stray: Array, drive: Array) -> Array:
-    """Smallest mean direction of a contact whose ripple is limited to this room, ± stray."""
-    squares = (1 - 4 * positive(each) / drive for each in (room + stray, room - stray))
-    one, two = (np.sqrt(np.where(each.real > LEAST_DIRECTION**2, each, LEAST_DIRECTION**2)) for each in squares)
-    return np.asarray((one + two) / 2 - 2 * LEAST_DIRECTION)
 
 
 def mean_direction(x: Array) -> Array:

@@ -108,7 +108,11 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     half_period *= max(1.0 + period_off, 0.0)
     each = {signs: solved(signs) for signs in SIGN_PAIRS}
     turning = t.T @ (to_plane @ d) + arms  # of each slip with ω0
-    drive = turning[:, None] * half_period / 2 * by_sign({signs: of[2] for signs, of in each.items()})
+    spins = {signs: of[2] for signs, of in each.items()}
+
+    def drive_of(p: Array) -> Array:
+        return np.asarray(turning[:, None] * half_period * by_sign(spins, p))
+
     follows = transmission + transmission_off
 
     def averaged_over(mean: Array, lag: Array) -> tuple[Array, Array]:
@@ -121,8 +125,8 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
             pulled = pulled + (share * positive(-each[signs][:2]) * np.abs(d + mu * s * arms) / rho2).sum(axis=0)
         return mean + follows * (rubbed / forces - mean), follows * pulled
 
-    directions, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
-    softened, _ = averaged_over(softened_direction(slip, speed, drive), np.zeros(x.shape[1]))
+    directions, pulled = averaged_over(*rippled_directions(slip, speed, drive_of, kappa))
+    softened, _ = averaged_over(softened_direction(slip, speed, drive_of(np.full_like(slip, 0.5))), np.zeros(x.shape[1]))
     steps = _LOG_MU_STEP * np.eye(2)[:, :, None]
     by_mu = [(solved(directions * (1 + h))[2] - solved(directions * (1 - h))[2]) / (2 * _LOG_MU_STEP) for h in steps]
     error = FRICTION_NOISE_S * (by_mu[0] ** 2 + by_mu[1] ** 2) + HOP_NOISE_S * pulled**2

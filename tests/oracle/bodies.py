@@ -116,8 +116,12 @@ class Bodies:
         turning = np.array([  # of each slip with the body's rate
             t[i] @ (with_spin + np.stack([-arm[1], arm[0]])) for i, arm in enumerate(arms)
         ])  # fmt: skip
-        drive = turning[:, None] * period / 2 * by_sign({signs: each[2] for signs, each in of_signs.items()})
-        means, lag = rippled_directions(np.array(slips), speed, drive, kappas, STEPS)
+        spins = {signs: each[2] for signs, each in of_signs.items()}
+
+        def drive_of(p: np.ndarray) -> np.ndarray:
+            return np.asarray(turning[:, None] * period * by_sign(spins, p))
+
+        means, lag = rippled_directions(np.array(slips), speed, drive_of, kappas, STEPS)
         shares = dict(sign_shares(means, kappas, lag))
         directions = []
         for i, mean in enumerate(means):

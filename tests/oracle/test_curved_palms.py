@@ -47,7 +47,7 @@ def _rig(curvatures: tuple[float, float], hinge: str = "arc", vibration: Vibrati
 @pytest.fixture(params=VIBRATIONS)
 def vibration(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Vibration:
     def forward_share(slip: float, speed: float, _: object = ()) -> float:
-        means, _ = rippled_directions(np.full(2, slip), np.float64(speed), np.zeros((2, 2)), 0.0)
+        means, _ = rippled_directions(np.full(2, slip), np.float64(speed), lambda _: np.zeros((2, 2)), 0.0)
         return float(1 + means[0]) / 2
 
     monkeypatch.setattr(sign_pairs, "forward_share", forward_share)

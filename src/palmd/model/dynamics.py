@@ -77,7 +77,7 @@ class Motion:
     α0's error due to the friction law, 0 for the averaged law; hopping: the part of it due to hopping contacts.
     pulling_force: with which contacts would have to pull, and hop instead (m/s²).
     softened_alpha0: α0 with the directions `Averaged.softened`; its derivative by ω0 is the rate for
-    `exponential_step`, since that of α0 jumps where the ripple begins to stick.
+    `exponential_step`, since that of α0 jumps where contacts begin to stick.
     """
 
     alpha0: SX

@@ -34,8 +34,9 @@ RELAXED = 0.7
 (numerics: full steps overshoot, as a larger ripple makes the shares more equal)."""
 FRICTION_NOISE_S = 2e-4
 """Spectral density (s) of α0's error, divided by the square of friction's contribution to α0 at a contact: 2 ε² τ for a
-force with an error of ε = 2 % that lasts for τ = 0.12 s (study of resolved vibrations, 2026-11-30, eight demos over
-wires with μ 0.05 to 0.25: medians of 0.7e-4 to 4.5e-4; third harmonics of 2 %, typical of shakers, do as much)."""
+force with an error of ε = 3 % that lasts for τ = 0.12 s (study 2026-12-01, true motion and constants in the law: medians
+of 0.03e-4 to 2.5e-4 in 13 logs of Drake, μ 0.05 to 0.26; in an exploration in MuJoCo, μ 0.19, 5e-4 at openings below
+45°, 2.5e-4 up to 60°, less beyond)."""
 HOP_NOISE_S = 2.0
 """The same, divided by the square of the α0 that pulling contacts would contribute, where they hop instead (study of
 resolved vibrations, 2026-11-29: order of magnitude, as logs differ by more than a factor of ten)."""
