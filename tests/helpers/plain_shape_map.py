@@ -126,7 +126,9 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
         return mean + follows * (rubbed / forces - mean), follows * pulled
 
     directions, pulled = averaged_over(*rippled_directions(slip, speed, drive_of, kappa))
-    softened, _ = averaged_over(softened_direction(slip, speed, drive_of(np.full_like(slip, 0.5))), np.zeros(x.shape[1]))
+    softened, _ = averaged_over(
+        softened_direction(slip, speed, drive_of(np.full_like(slip, 0.5))), np.zeros(x.shape[1])
+    )
     steps = _LOG_MU_STEP * np.eye(2)[:, :, None]
     by_mu = [(solved(directions * (1 + h))[2] - solved(directions * (1 - h))[2]) / (2 * _LOG_MU_STEP) for h in steps]
     error = FRICTION_NOISE_S * (by_mu[0] ** 2 + by_mu[1] ** 2) + HOP_NOISE_S * pulled**2

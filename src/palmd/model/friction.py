@@ -204,7 +204,9 @@ def _sticking(free: Any, sticking: Any, ratio: Any, drive: Any) -> Any:
 
     Below `STICKING_AT_REST` a contact sticks where that makes its direction larger, above it always.
     """
-    always, noticeable = (drive**n / (drive**n + limit**n) for n, limit in ((24, STICKING_AT_REST), (4, STICKING_DRIVE)))
+    always, noticeable = (
+        drive**n / (drive**n + limit**n) for n, limit in ((24, STICKING_AT_REST), (4, STICKING_DRIVE))
+    )
     forward = ca.sign(ratio)
     larger = forward * ca.fmax(forward * (sticking - free), 0)
     return free + noticeable * (larger + always * (sticking - free - larger))
@@ -221,9 +223,7 @@ def softened_directions(slips: Sequence[Any], speed: Any, drive: Sequence[Sequen
         free = mean_direction(slip / speed * ca.sqrt(1 + (own**2 + other**2 / 3) / 16))
         return _sticking(free, sticking_direction(slip / speed, own), slip, own)
 
-    one, two = (
-        softened(slip, _own_drive(drive[i][i], speed), drive[i][1 - i] / speed) for i, slip in enumerate(slips)
-    )
+    one, two = (softened(slip, _own_drive(drive[i][i], speed), drive[i][1 - i] / speed) for i, slip in enumerate(slips))
     return one, two
 
 
@@ -279,7 +279,8 @@ def rippled_directions(
             end, begin = (mean_direction((u + each) / speed) for each in ends)
             size, shifted = _own_drive(drive[i][i], speed), u + (backward + forward) / 2
             sticking = (
-                sticking_direction((shifted + stray) / speed, size) + sticking_direction((shifted - stray) / speed, size)
+                sticking_direction((shifted + stray) / speed, size)
+                + sticking_direction((shifted - stray) / speed, size)
             ) / 2
             mean = _sticking((end + begin) / 2, sticking, shifted, size)
             new_sigma.append(sigma[i] + part * (mean - sigma[i]))
@@ -357,7 +358,6 @@ def averaged(
         sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, former, strict=True)]
         shares = sign_shares(sigma, kappa, lag)
         return effective_directions(forces, sigma, shares, transmission), shares
-
 
     def drives_of(shares: Sequence[SX]) -> tuple[tuple[SX, SX], tuple[SX, SX]]:
         return drives(forces, mu, body, shares)
