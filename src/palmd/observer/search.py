@@ -422,11 +422,17 @@ class Search:
         """The record with long-correlated errors in the noise model, as covariances need them, and its fit from `fit`.
 
         Errors of the friction law and the pads' position errors are the same for many readings in a row. The fit that
-        decides whether the readings are explained must not include them: nearly every fit would pass. `alone` as in
-        `with_shared_errors`.
+        decides whether the readings are explained must not include them: nearly every fit would pass. It may be drawn
+        so far by errors of place that no minimum is near, and the fit begins with more process noise, then. `alone` as
+        in `with_shared_errors`. Not limited by the budget.
         """
         record = with_shared_errors(self.smoother(record).with_discrepancy(fit.guess), self.rig, alone)
-        return record, self.smoother(record).fit(fit.guess, fit.noise, GRADUATED_ITERATIONS)
+        smoother = Smoother(self.library, record, self.known)
+        nearby = smoother.fit(fit.guess, fit.noise, GRADUATED_ITERATIONS)
+        if self.explained(nearby, record):
+            return record, nearby
+        deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), fit.noise)
+        return record, min(nearby, deeper, key=lambda each: each.cost)
 
     def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
         """`finding`, or a motion with a palm or at rest where that is likelier; and whether the readings decide.
