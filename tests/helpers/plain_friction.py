@@ -93,18 +93,23 @@ def either(free: Array, stuck: Array, slip: Array, drive: Array) -> Array:
     """The direction without sticking or with it: the larger one in slow drives, the latter in fast ones."""
     side = np.where(slip.real > 0.0, 1.0, -1.0) * (slip.real != 0.0)
     more = side * positive(side * (stuck - free))
-    always = 1 / (1 + (STICKING_AT_REST / np.where(drive.real > 1e-3, drive, 1e-3)) ** 24)
+    always = always_stuck(drive)
     noticed = 1 / (1 + (STICKING_DRIVE / np.where(drive.real > 1e-3, drive, 1e-3)) ** 4)
     return np.asarray(free + noticed * (more * (1 - always) + always * (stuck - free)))
 
 
+def always_stuck(drive: Array) -> Array:
+    """Whether a contact sticks at its reversals even in slow slip, 0 to 1."""
+    return np.asarray(1 / (1 + (STICKING_AT_REST / np.where(drive.real > 1e-3, drive, 1e-3)) ** 24))
+
+
 def softened_direction(slip: Array, speed: Array, drive: Array) -> Array:
-    """Mean direction of each slip without iterations: of a steeper one, or of one that sticks."""
+    """Mean direction of each slip without iterations: steeper than without a ripple, or that of one that sticks."""
     found = []
     for i, u in enumerate(slip):
         own = own_drive(drive[i, i], speed)
         free = mean_direction(u / speed * np.sqrt(1 + (own**2 + (drive[i, 1 - i] / speed) ** 2 / 3) / 16))
-        found.append(either(free, sticking_direction(u / speed, own), u, own))
+        found.append(free + always_stuck(own) * (sticking_direction(u / speed, own) - free))
     return np.array(found)
 
 

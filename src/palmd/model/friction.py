@@ -24,19 +24,19 @@ STICKING = (
     (0.3783, 1.3752, -1.8168, -3.7489),
     (-0.0978, -1.8861, 1.0423, 3.4265),
 )
-"""Coefficients of `sticking_direction`, of x^i ((D − 3.5)/2)^j (numerics: fit of the exact solution of a single contact,
-0.002 RMS and 0.015 at most from D 0.5 to 5.3, together with `rippled_directions`)."""
+"""Coefficients of `sticking_direction`, of x^i ((D − 3.5)/2)^j (numerics: fit of the exact solution of one
+contact, 0.002 RMS and 0.012 at most from D 0.3 to 5.3, together with `rippled_directions`)."""
 STICKING_AT_REST, STICKING_DRIVE, MOST_DRIVE = 3.4, 0.3, 5.3
-"""In units of V: drive from which a contact sticks even in slow slip (derivation: (D/4)² + (D/2π)² = 1, 3.37); from which
-it sticks noticeably near u = V (numerics); and the largest for which the law holds: from 2π on it always sticks at rest."""
+"""In units of V: drive from which a contact sticks even in slow slip (derivation: (D/4)² + (D/2π)² = 1, 3.37); from
+which it sticks noticeably near u = V (numerics); and the largest for which the law holds: beyond 2π it never slips."""
 RELAXED = 0.7
 """Relaxation factor of every iteration but the first towards the ripple that is consistent with its time shares
 (numerics: full steps overshoot, as a larger ripple makes the shares more equal)."""
 FRICTION_NOISE_S = 2e-4
-"""Spectral density (s) of α0's error, divided by the square of friction's contribution to α0 at a contact: 2 ε² τ for a
-force with an error of ε = 3 % that lasts for τ = 0.12 s (study 2026-12-01, true motion and constants in the law: medians
-of 0.03e-4 to 2.5e-4 in 13 logs of Drake, μ 0.05 to 0.26; in an exploration in MuJoCo, μ 0.19, 5e-4 at openings below
-45°, 2.5e-4 up to 60°, less beyond)."""
+"""Spectral density (s) of α0's error, divided by the square of friction's contribution to α0 at a contact: 2 ε² τ for
+a force with an error of ε = 3 % that lasts for τ = 0.12 s (study 2026-12-01, true motion and constants in the law:
+medians of 0.03e-4 to 2.5e-4 in 13 logs of Drake, μ 0.05 to 0.26; in an exploration in MuJoCo, μ 0.19, 5e-4 at
+openings below 45°, 2.5e-4 up to 60°, less beyond)."""
 HOP_NOISE_S = 2.0
 """The same, divided by the square of the α0 that pulling contacts would contribute, where they hop instead (study of
 resolved vibrations, 2026-11-29: order of magnitude, as logs differ by more than a factor of ten)."""
@@ -184,9 +184,9 @@ def drives(
 
 
 def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
-    """Return the mean direction of a contact that sticks at its reversals, as its own friction drives its slip so fast.
+    """Return the mean direction of a contact that sticks at its reversals, as its own friction drives its slip.
 
-    ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. A contact sticks where friction
+    ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. It sticks where friction
     changes its slip faster than the vibration does (docs/theory/vibration.md, ripple).
     """
     x = xp.fmax(xp.fmin(ratio, 1), -1)
@@ -199,29 +199,36 @@ def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
     return x * (1 + (1 - size) * shape)
 
 
+def _sticking_share(drive: Any, limit: float, sharpness: int) -> Any:
+    """How far a drive is beyond a limit, 0 to 1."""
+    return drive**sharpness / (drive**sharpness + limit**sharpness)
+
+
+def _always_sticking(drive: Any) -> Any:
+    return _sticking_share(drive, STICKING_AT_REST, 24)
+
+
 def _sticking(free: Any, sticking: Any, ratio: Any, drive: Any) -> Any:
     """The mean direction out of those of a contact that never sticks and of one that sticks at its reversals.
 
     Below `STICKING_AT_REST` a contact sticks where that makes its direction larger, above it always.
     """
-    always, noticeable = (
-        drive**n / (drive**n + limit**n) for n, limit in ((24, STICKING_AT_REST), (4, STICKING_DRIVE))
-    )
     forward = ca.sign(ratio)
     larger = forward * ca.fmax(forward * (sticking - free), 0)
-    return free + noticeable * (larger + always * (sticking - free - larger))
+    changed = larger + _always_sticking(drive) * (sticking - free - larger)
+    return free + _sticking_share(drive, STICKING_DRIVE, 4) * changed
 
 
 def softened_directions(slips: Sequence[Any], speed: Any, drive: Sequence[Sequence[Any]]) -> tuple[Any, Any]:
     """Return mean directions without iterations, that vary with the slips about as much as `rippled_directions`.
 
-    In slow slip a ripple a² = (D_ii² + D_ij²/3)/16 acts like a vibration of V/√(1 + a²/V²), to second order; contacts
-    that stick follow `sticking_direction`.
+    They do not jump where a contact begins to stick. In slow slip a ripple a² = (D_ii² + D_ij²/3)/16 acts like a
+    vibration of V/√(1 + a²/V²), to second order; contacts that always stick follow `sticking_direction`.
     """
 
     def softened(slip: Any, own: Any, other: Any) -> Any:
         free = mean_direction(slip / speed * ca.sqrt(1 + (own**2 + other**2 / 3) / 16))
-        return _sticking(free, sticking_direction(slip / speed, own), slip, own)
+        return free + _always_sticking(own) * (sticking_direction(slip / speed, own) - free)
 
     one, two = (softened(slip, _own_drive(drive[i][i], speed), drive[i][1 - i] / speed) for i, slip in enumerate(slips))
     return one, two
@@ -309,7 +316,7 @@ class Averaged:
     """Friction averaged over the vibration.
 
     directions: of friction at each contact, for which one solve of the contact equations gives the mean forces;
-    softened: the same by `softened_directions`, which vary with the slips about as much as `directions`, but without jumps.
+    softened: the same by `softened_directions`, without jumps.
     pair_forces, shares, wedged: normal forces (m/s²), share of time and wedging of each of `SIGN_PAIRS`. transmission:
     λ, 0 with the averaged law. pulled, pulling_force: both results of `pulled`.
     """

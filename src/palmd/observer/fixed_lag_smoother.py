@@ -124,14 +124,17 @@ class FixedLagSmoother:
         """
         self._most_forces = tuple(map(max, self._most_forces, segment.most_forces))
         budget, reach, end_before = Budget(LIVE_BUDGET), REACH_S, self._open.end
+        latest: Solution | None = None
         while True:
             end = self._open.end + reach
             if segment.end < end + REACH_S / 2:
                 end = segment.end
             solution = self._step(segment.until(end), budget)
+            latest = solution or latest
             if end == segment.end or budget.left <= 0.0:
                 self.lost = self._open.end <= end_before and segment.end - self._open.start > LOST_S
-                return solution
+                # a step that was cut short contradicts nothing
+                return solution if budget.left > 0.0 else latest
             reach = 2.0 * reach if solution is None else REACH_S
 
     def _step(self, segment: DataSegment, budget: Budget) -> Solution | None:
