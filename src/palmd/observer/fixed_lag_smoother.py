@@ -57,11 +57,6 @@ class Solution:
         record, fit = self.search.with_correlated_errors(self.finding.record, self.finding.fits[0], alone)
         return Solution(self.search, Minima(record, (fit,), self.finding.work))
 
-    def with_maps(self) -> Solution | None:
-        """With the pads' position errors estimated, without rivals; None where that does not converge soon."""
-        search, finding = self.search.with_maps(self.finding)
-        return Solution(search, finding) if finding.fits[0].settled else None
-
     @cached_property
     def posterior(self) -> Posterior | None:
         """The posterior of the best fit under the search's prior; None if it is not a minimum."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PalmSample, Unexplained
 from palmd.model import shape_map
-from palmd.model.smoothing import CONSTANTS, NODE, ORDER, RIG, C
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
 from palmd.observer.contacts import GONE_S
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
@@ -26,7 +26,6 @@ from palmd.observer.matching import ObjectInformation
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import contact_normals, made_convex
-from palmd.observer.pad_map import has_map
 from palmd.observer.reidentification import reidentified
 from palmd.observer.search import LIVE_BUDGET, SPACING_S
 from palmd.observer.smoother import Budget
@@ -147,10 +146,10 @@ class IncrementalSmoother:
             return self._smooth(segment, self._fixed_lag)
         confirmed = self._initialiser.confirmed and solution.lasts > SUFFICIENT_S - SPACING_S
         if not confirmed and not self._archive:
-            return _with_honest_covariance(solution)
+            return solution.with_correlated_errors(alone=True)
         fixed_lag = FixedLagSmoother(solution)
         if not self._join_archive(fixed_lag) and not confirmed:
-            return _with_honest_covariance(solution)
+            return solution.with_correlated_errors(alone=True)
         self._fixed_lag = fixed_lag
         solution = fixed_lag.smoothed(segment) or solution
         self._drop_before(fixed_lag.needs_from)
@@ -226,8 +225,8 @@ class IncrementalSmoother:
         posterior = solution.posterior
         if posterior is None:
             return None
-        estimate = np.concatenate([best.guess.p[:CONSTANTS], best.guess.x[-1]])
-        covariance = _without_maps(solution.belief.considering(posterior.covariance))
+        estimate = np.concatenate([best.guess.p, best.guess.x[-1]])
+        covariance = solution.belief.considering(posterior.covariance)
         try:
             x, P, spread = given_the_rig(estimate, covariance)
         except np.linalg.LinAlgError:  # a degenerate fit to readings that no such motion explains
@@ -238,7 +237,7 @@ class IncrementalSmoother:
         if confirmed is not None:
             touched = confirmed.touched
         else:
-            touched = marks_of(contact_normals(record, best.guess.x[:, 0], estimate[C.SHAPE : CONSTANTS]))
+            touched = marks_of(contact_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
             # an unconfirmed solution helps the bank, but confirms no normal: on short records a contradicted rig
             # constant more often means a wrong object
             touched &= self._initialiser.confirmed and not contradicted.any()
@@ -247,18 +246,6 @@ class IncrementalSmoother:
         return Improvement(
             solution.end, x, P, self._frame, confirmed is not None, touched, rig, rig_sd, spread, contradicted
         )
-
-
-def _with_honest_covariance(solution: Solution) -> Solution:
-    """The solution of a whole record, refitted with the errors that its readings share."""
-    mapped = solution.with_maps() if has_map(solution.search.rig) else None
-    return mapped or solution.with_correlated_errors(alone=True)
-
-
-def _without_maps(covariance: FloatArray) -> FloatArray:
-    """The part for the kernels' constants and the last node of a covariance of all constants and that node."""
-    kept = np.r_[:CONSTANTS, len(covariance) - NODE : len(covariance)]
-    return covariance[np.ix_(kept, kept)]
 
 
 def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -26,7 +26,7 @@ from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
-from palmd.observer.pad_map import with_map, with_shared_errors
+from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import NO_FORCES, Record, lay_out
@@ -54,8 +54,6 @@ PATIENCE = 12  # windows that may fail in one search
 LIVE_BUDGET = 80_000.0
 """Iterations times nodes of one live answer: 1.3 s of processor time (study 2026-11-30: 16 µs each; with 120,000,
 answers were up to 6 s late)."""
-MAPS_BUDGET = LIVE_BUDGET / 4
-"""Of a fit of the pads' position errors besides (choice: 0.4 s of processor time, as an iteration takes longer)."""
 DISCREPANCY_ROUNDS = 3
 """Evaluations of the friction law's uncertainty along the motion found with it (study 2026-11-30: five of six logged
 searches converged, after 1, 2, 2, 3 and 5)."""
@@ -435,18 +433,6 @@ class Search:
             return record, nearby
         deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), fit.noise)
         return record, min(nearby, deeper, key=lambda each: each.cost)
-
-    def with_maps(self, finding: Minima) -> tuple[Search, Minima]:
-        """The best of `finding` with the pads' position errors among its constants, and the search that has them.
-
-        For a search under the blind prior, whose covariances then need no shared errors. Limited to `MAPS_BUDGET`.
-        """
-        fit, smoother = finding.fits[0], self.smoother(finding.record)
-        record = smoother.with_discrepancy(fit.guess)
-        contacts = smoother.predicted_contacts(fit.guess)
-        record, known, guess = with_map(record, contacts, self.prior, fit.guess, self.rig)
-        mapped = self.with_knowledge(known).with_budget(Budget(MAPS_BUDGET))
-        return mapped, Minima(record, (mapped.smoother(record).fit(guess, fit.noise),), finding.work)
 
     def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
         """`finding`, or a motion with a palm or at rest where that is likelier; and whether the readings decide.
