@@ -237,6 +237,6 @@ class MujocoPlant(Plant):
         self._t_last_contact = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_last_contact, strict=True)]
         if data.ncon:
             self.penetration_m = max(self.penetration_m, -float(data.contact.dist.min()))
-        self._on1, self._on2 = self.touching
+        self._on = list(self.touching)
         self._update_tangent_planes()
         self._drop_if_off_the_palms()
