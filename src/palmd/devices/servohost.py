@@ -221,13 +221,11 @@ class ServoHost(Actuator):
         return self.faults.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:
-        """All counters of the bus since the start."""
         return self.counters.as_dict()
 
     # Requests
 
     def request_tracking(self) -> None:
-        """Request tracking: goals are then sent automatically, the first at the actual pose."""
         if self._phase is not Phase.IDLE:
             self.refusal = None if self.tracking else "start refused: the servos are not ready"
         elif self.faults:
@@ -261,7 +259,6 @@ class ServoHost(Actuator):
     # Input
 
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
-        """Process the bytes read at `t_recv` (s, monotonic) and return the reports that they complete."""
         return self._take(self._reader.feed(data, t_recv), t_recv)
 
     def _take(self, packets: list[Packet], t_recv: float) -> list[ArmReport]:
@@ -367,7 +364,6 @@ class ServoHost(Actuator):
     # Output
 
     def due(self) -> float:
-        """Return the time (s) of the next `poll`; always after the last `poll`."""
         if self._request is not None:
             if self._tries:
                 return self._t_request + ANSWER_S

@@ -104,7 +104,6 @@ class CurvedPlant(Plant):
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         frame = self._frame = palm_frame(self.hinge, palms)
         one, two = frame.palms
         self._theta = [one.out - psi, two.out - psi]
@@ -128,7 +127,6 @@ class CurvedPlant(Plant):
         self._settle_contacts()
 
     def contact_rates(self) -> tuple[float, float]:
-        """Speeds of both contacts along the palms, away from the hinge (m/s)."""
         frame, q = self._frame, self.state
         rates = []
         for palm, at in enumerate(self._nearest_points(frame, q)):
@@ -139,7 +137,6 @@ class CurvedPlant(Plant):
         return rates[0], -rates[1]
 
     def radii(self) -> tuple[float, float]:
-        """r1 and r2 (m): the support function at both contact normals."""
         self._nearest_points(self._frame, self.state)
         at = self.body.support.at
         return at(self._theta[0])[0], at(self._theta[1])[0]

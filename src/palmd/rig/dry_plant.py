@@ -51,7 +51,6 @@ class DryPlant(Plant):
     """As `Plant`, with friction coefficient `surface.mu` while slipping and up to `surface.static` while sticking."""
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         self._ratios = [0.0, 0.0]  # of friction to normal force, against t
         self._sticking_contact: int | None = None  # whose friction is solved for, 0 or 1
         super().place(palms, psi, omega0)

@@ -133,7 +133,6 @@ class PtyLine(EmulatedLine):
         self._attached = False
 
     def plug(self) -> None:
-        """See `EmulatedLine`."""
         if self._fd is not None:
             return
         self._fd, slave = os.openpty()
@@ -144,7 +143,6 @@ class PtyLine(EmulatedLine):
         os.close(slave)
 
     def unplug(self) -> None:
-        """See `EmulatedLine`."""
         if self._fd is None:
             return
         self.path.unlink(missing_ok=True)
@@ -152,7 +150,6 @@ class PtyLine(EmulatedLine):
         self._fd, self._attached = None, False
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """See `EmulatedLine`."""
         self._attached = not events & select.POLLHUP
         out, flushed = b"", False
         while self._fd is not None and events & (select.POLLIN | select.POLLPRI):
@@ -214,7 +211,6 @@ class SocketLine(EmulatedLine):
         self._epoll.register(listener, select.EPOLLIN)
 
     def unplug(self) -> None:
-        """See `EmulatedLine`."""
         if self._listener is None or self._epoll is None:
             return
         self._epoll.close()
@@ -226,7 +222,6 @@ class SocketLine(EmulatedLine):
             self._host = None
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """See `EmulatedLine`."""
         if not events or self._listener is None or self._epoll is None:
             return b"", False
         if self._host is None:

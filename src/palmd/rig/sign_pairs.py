@@ -56,7 +56,6 @@ class SignPairsPlant(Plant):
     """As `Plant`, on flat palms that vibrate as `shaking` describes."""
 
     def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, shaking: Shaking, **others: Any) -> None:
-        """See `Plant`."""
         self._shaking = shaking
         self._slips: list[float] | None = None
         self._signs: list[float] = []

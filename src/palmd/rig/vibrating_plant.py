@@ -155,7 +155,6 @@ class VibratingPlant(CurvedPlant):
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         super().place(palms, psi, omega0)
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
@@ -174,11 +173,9 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def least_forces(self) -> tuple[float, float]:
-        """See `Plant`."""
         return self.body.mass * self._memory.least[0], self.body.mass * self._memory.least[1]
 
     def radii(self) -> tuple[float, float]:
-        """r1 and r2 (m): the support function at both contact normals."""
         return self._memory.r[0], self._memory.r[1]
 
     @property
@@ -192,7 +189,6 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple of the vibration."""
         return self._turning.rate
 
     @property
@@ -208,7 +204,6 @@ class VibratingPlant(CurvedPlant):
     # -- time steps ---------------------------------------------------------------------------------------
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """Advance by dt seconds; `middle` and `end` are the palms half-way and at the end."""
         self._t += dt
         self._frame = palm_frame(self.hinge, end)
         if self.fallen:
@@ -236,7 +231,6 @@ class VibratingPlant(CurvedPlant):
         self.fallen = m.fallen != 0.0
 
     def take_away(self) -> None:
-        """Remove the body from the palms until it is placed again."""
         super().take_away()
         self._memory = _Body(fallen=1.0)
 

@@ -26,7 +26,6 @@ class EvdevEmulator(CountingPad):
         self._reported: dict[int, int] = {}
 
     def make_decoder(self) -> EvdevReader:
-        """A new decoder of its records."""
         return EvdevReader()
 
     def greeting(self) -> list[tuple[bytes, float]]:

@@ -18,14 +18,12 @@ class StripEmulator(CountingPad):
 
     @property
     def baud(self) -> int:
-        """Baud rate of its line."""
         return self._config.baud
 
     def _begin(self, t: float) -> None:
         self._t_idle_report = t
 
     def make_decoder(self) -> StripDecoder:
-        """A new decoder of its packets."""
         return StripDecoder(self.baud)
 
     def _interval(self) -> float:

@@ -31,7 +31,6 @@ class TaxelEmulator(PadEmulator):
 
     @property
     def baud(self) -> int:
-        """Baud rate of its line."""
         return self._config.line_baud
 
     def _begin(self, t: float) -> None:  # noqa: ARG002
@@ -42,7 +41,6 @@ class TaxelEmulator(PadEmulator):
         self.due = self._protocol.due(self.due, 0.0)
 
     def make_decoder(self) -> TaxelDecoder:
-        """A new decoder of its frames."""
         return TaxelDecoder(self._config)
 
     def receive(self, data: bytes, t: float) -> None:
