@@ -125,12 +125,14 @@ class FeetechMake(ServoMake):
     name = "Feetech"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
     hardware_error, goal, position, voltage, temperature = STATUS, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    min_position, max_position = MIN_POSITION, MAX_POSITION
     watchdog = None
     unlock = LOCK
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
     status_span = (TORQUE.address, STATUS.end - TORQUE.address)
     cycle_span = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
+    fixed_settings = (RETURN_DELAY, 0), (OPERATING_MODE, 0), (HOMING_OFFSET, 0), (UNLOADING, _UNLOADING)
     all_answered, ping_bytes = 1, 0
     alert = FeetechError.VOLTAGE | FeetechError.ENCODER | _UNLOADING
     refusals = 0
@@ -153,18 +155,6 @@ class FeetechMake(ServoMake):
     def restart(self, servo: int) -> bytes:
         """Turn the torque off, which ends the protection mode."""
         return self.write(servo, TORQUE, 0)
-
-    def settings(self, low: int, high: int) -> Settings:
-        """Position mode, no delay, no offset, limits, protection, answer all instructions."""
-        return (
-            (RETURN_DELAY, 0),
-            (OPERATING_MODE, 0),
-            (HOMING_OFFSET, 0),
-            (UNLOADING, _UNLOADING),
-            (MIN_POSITION, low),
-            (MAX_POSITION, high),
-            (STATUS_LEVEL, self.all_answered),
-        )
 
     def profile(self, span_ms: int) -> Settings:  # noqa: ARG002
         """No acceleration limit; each goal is sent with its speed."""
