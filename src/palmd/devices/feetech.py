@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
+from functools import partial
 
 from palmd.devices.framing import Frame, FrameScanner, Head
 from palmd.devices.servobus import BROADCAST, Packet, PacketReader, Register, ServoMake, Settings, UnsupportedModel
@@ -103,20 +104,16 @@ def _is_valid(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
-def _answer(frame: Frame) -> Packet:
+def _packet(answers: bool, frame: Frame) -> Packet:
     t_first, raw = frame
-    return Packet(t_first, raw[2], 0, raw[4], raw[5:-1], is_status=True)
-
-
-def _question(frame: Frame) -> Packet:
-    t_first, raw = frame
-    return Packet(t_first, raw[2], raw[4], 0, raw[5:-1], is_status=False)
+    instruction, error = (0, raw[4]) if answers else (raw[4], 0)
+    return Packet(t_first, raw[2], instruction, error, raw[5:-1], is_status=answers)
 
 
 def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
     """Create a reader of answers, or of requests. Raises ValueError if `baud` (bit/s) is not positive."""
     scanner = FrameScanner(baud, _size, _is_valid, first_byte=_FILLER)
-    return PacketReader(scanner, _answer if answers else _question)
+    return PacketReader(scanner, partial(_packet, answers))
 
 
 class FeetechMake(ServoMake):

@@ -138,7 +138,8 @@ class PtyLine(EmulatedLine):
         self._fd, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._fd, False)
-        _packet_mode(self._fd)
+        # packet mode: a status byte precedes each read's data, so that a flush by the host can be detected
+        fcntl.ioctl(self._fd, termios.TIOCPKT, b"\x01\x00\x00\x00")
         self._link_to(os.ttyname(slave))
         os.close(slave)
 
@@ -295,8 +296,3 @@ def _poll_once(fd: int) -> int:
     poll = select.poll()
     poll.register(fd, _EVENTS)
     return dict(poll.poll(0)).get(fd, 0)
-
-
-def _packet_mode(master: int) -> None:
-    """Switch on packet mode: a status byte precedes each read's data, so that a flush by the host can be detected."""
-    fcntl.ioctl(master, termios.TIOCPKT, b"\x01\x00\x00\x00")
