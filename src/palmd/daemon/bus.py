@@ -130,10 +130,8 @@ class Bus:
         for request, reason in refused:
             self._reject_busy(request, reason)
         if self._awaited_command and any(request.name == self._awaited_command for request in requests):
-            self._awaited_command, self._t_buffer_end = (
-                "",
-                min(self._t_buffer_end, time.monotonic() + SUBSCRIBE_GRACE_S),
-            )
+            self._awaited_command = ""
+            self._t_buffer_end = min(self._t_buffer_end, time.monotonic() + SUBSCRIBE_GRACE_S)
         return requests
 
     def _enqueue_received(self, owner: Key) -> None:
@@ -222,10 +220,8 @@ class Bus:
     def fields(self) -> dict[str, int]:
         """The counters under their names in `palm/loop`."""
         if self._authenticator is not None:
-            self.counters.turned_away, self.counters.unproven = (
-                self._authenticator.turned_away,
-                self._authenticator.unproven,
-            )
+            self.counters.turned_away = self._authenticator.turned_away
+            self.counters.unproven = self._authenticator.unproven
         return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
 
     def close(self) -> None:
@@ -250,8 +246,6 @@ class Bus:
         try:
             with _permissions(address, self._group):
                 socket.bind(address)
-        except _GroupError as error:
-            raise BusError(f"bus.group: {error}") from None
         except zmq.ZMQError as error:
             if error.errno == zmq.EADDRINUSE:
                 raise BusError(
@@ -267,13 +261,12 @@ class Bus:
             self.counters.replies_lost += 1
 
 
-class _GroupError(Exception):
-    """A group that local sockets cannot be assigned to."""
-
-
 @contextlib.contextmanager
 def _permissions(address: str, group: str | None) -> Iterator[None]:
-    """Restrict a local socket bound inside the context to this user, and to the members of `group` if given."""
+    """Restrict a local socket bound inside the context to this user, and to the members of `group` if given.
+
+    Raises BusError for a group to which it cannot be assigned.
+    """
     if not address.startswith("ipc://"):
         yield
         return
@@ -291,9 +284,9 @@ def _permissions(address: str, group: str | None) -> Iterator[None]:
             os.chown(path, -1, number)
         path.chmod(0o660)
     except KeyError:
-        raise _GroupError(f"there is no group {group}") from None
+        raise BusError(f"bus.group: there is no group {group}") from None
     except OSError as error:
-        raise _GroupError(f"{path} cannot be given to the group {group}: {error.strerror}") from None
+        raise BusError(f"bus.group: {path} cannot be given to the group {group}: {error.strerror}") from None
 
 
 def _sender_name(request: Request, member: Member | None, frame: zmq.Frame) -> str:

@@ -58,10 +58,6 @@ _MISWIRED = frozenset({"pads-swapped", "pads-mirrored"})
 """Faults of the pads that make every estimate invalid."""
 
 
-def _always() -> bool:
-    return True
-
-
 class Helper(Protocol):
     """A process beside the loop, as far as it can raise faults."""
 
@@ -228,7 +224,7 @@ class Core:
 
     # ---- one tick ----------------------------------------------------------------------------------------
 
-    def observe(self, t: float, between: Callable[[], bool] = _always) -> None:
+    def observe(self, t: float, between: Callable[[], bool] = lambda: True) -> None:
         """Feed the observer with the events that have arrived, ordered by sample time; estimate for `t` (s).
 
         This is the longest part of the tick, so `between` is called between the observer's steps: a set-point may be
@@ -462,22 +458,19 @@ class Core:
         if self._smoother is not None:
             present.update(self._smoother.conditions(t))
         present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
-        if commanded and (self.setpoints.violated or self._outside()):
-            present.add("limits-violated")
         present.update(self.arm.guards.conditions(t))
         if commanded:
             present.update(self._forces.conditions(under_way=under_way))
         present |= self._system_conditions
-        if self._any_contradicted:
-            present.add("rig-contradicted")
-        if self.supervisor.plan_refused:
-            present.add("plan-refused")
-        if self.supervisor.operator_lost:
-            present.add("operator-lost")
-        if self.exploring.silent:
-            present.add("explorer-silent")
-        if self.setpoints.moving and all(self._contacts) and not self._estimate.valid:
-            present.add("estimate-lost")
+        simple = {
+            "limits-violated": commanded and (self.setpoints.violated or self._outside()),
+            "rig-contradicted": self._any_contradicted,
+            "plan-refused": self.supervisor.plan_refused,
+            "operator-lost": self.supervisor.operator_lost,
+            "explorer-silent": self.exploring.silent,
+            "estimate-lost": self.setpoints.moving and all(self._contacts) and not self._estimate.valid,
+        }
+        present.update(code for code, holds in simple.items() if holds)
         return present.difference(self._system.suppressed_faults(self.exploring))
 
     def _evidence(self, code: str, t: float) -> str:

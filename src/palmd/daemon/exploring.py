@@ -119,7 +119,6 @@ class DelegatedExploration(ExplorationControl):
             self._source.prepare()
 
     def step(self, t: float, inputs: ExplorationInputs) -> None:
-        """One tick at `t` (s)."""
         current, source = self._setpoints.exploration, self._source
         if current is None or source is None:
             self._leave()

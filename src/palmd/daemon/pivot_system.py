@@ -101,7 +101,6 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         return DragExploration(setpoints)
 
     def invalid_estimate(self, t: float, observer: LiveObserver) -> PivotEstimate:
-        """An estimate without values."""
         nan = math.nan
         return PivotEstimate(
             t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,

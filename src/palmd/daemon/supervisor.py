@@ -301,7 +301,8 @@ class Supervisor:
 
     def _start_arming(self, request: Request, t: float) -> None:
         host, actual = self._arm.host, self._arm.actual
-        self._refuse_while_closing()
+        if self._closing:
+            raise RefusedError("palmd is stopping")
         if self.state not in COMMANDED:
             self._refuse_contradiction()
         if self.state is not State.READY or actual is None:
@@ -409,10 +410,6 @@ class Supervisor:
 
     def _state_result(self) -> dict[str, Any]:
         return {"state": str(self.state)}
-
-    def _refuse_while_closing(self) -> None:
-        if self._closing:
-            raise RefusedError("palmd is stopping")
 
     def _refuse_while_moving(self) -> None:
         if self._setpoints.moving:

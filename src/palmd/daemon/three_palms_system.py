@@ -87,7 +87,6 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         return explorer
 
     def invalid_estimate(self, t: float, observer: LiveObserver) -> BodyEstimate:
-        """An estimate without values."""
         nan = (math.nan,) * 4
         return BodyEstimate(
             t, False, observer.name, observer.object_count, math.nan, values={}, quaternion=nan, attitude_sd=nan[1:],

@@ -170,7 +170,6 @@ class ArmHost(Actuator):
         return line.lines + errors, errors
 
     def evidence(self, condition: str, t: float) -> str:
-        """See `Actuator`."""
         match condition:
             case "late":
                 return self._silence(t, FREEZE_S)
@@ -203,17 +202,14 @@ class ArmHost(Actuator):
         return f"its last answer is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms; {came}"
 
     def counts(self) -> dict[str, float]:
-        """All counters of the link since the start."""
         return self.counters.as_dict()
 
     @property
     def tracking(self) -> bool:
-        """Whether set-points are being sent."""
         return self._timer is not None
 
     @property
     def busy(self) -> bool:
-        """Whether a request is still unanswered."""
         return self._pending is not None
 
     # Requests
@@ -251,7 +247,6 @@ class ArmHost(Actuator):
     # Input
 
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
-        """Process the bytes read at `t_recv` (s, monotonic) and return the reports that they complete."""
         reports: list[ArmReport] = []
         lines = list(self._reader.feed(data, t_recv))
         for line in lines:
@@ -342,7 +337,6 @@ class ArmHost(Actuator):
     # Output
 
     def due(self) -> float:
-        """Return the time (s) of the next `poll`; always after the last `poll`."""
         if self.hello is None:
             return -math.inf if self._hello_due else self._t_hello + HELLO_RETRY_S
         t_lost = self._t_alive + LOST_S

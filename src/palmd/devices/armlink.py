@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.arrival import FirstByteClock
+from palmd.devices.framing import crc_table
 from palmd.devices.health import Counters
 
 HOST_NEWLINE = b"\n"
@@ -137,16 +138,7 @@ class Refusal:
 Reply = HelloReply | Ack | Refusal
 
 
-def _crc8_table() -> bytes:
-    table = bytearray()
-    for value in range(256):
-        for _ in range(8):
-            value = value << 1 ^ (0x107 if value & 0x80 else 0)
-        table.append(value)
-    return bytes(table)
-
-
-_CRC8 = _crc8_table()
+_CRC8 = crc_table(0x07, 8)
 
 
 def crc8(data: bytes) -> int:

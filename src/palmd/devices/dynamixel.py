@@ -14,7 +14,7 @@ import struct
 from collections.abc import Mapping
 from enum import IntEnum
 
-from palmd.devices.framing import Frame, FrameScanner, Head
+from palmd.devices.framing import Frame, FrameScanner, Head, crc_table
 from palmd.devices.servobus import (
     BROADCAST,
     Instruction,
@@ -91,21 +91,12 @@ class HardwareError(IntEnum):
     OVERLOAD = 0x20
 
 
-def _table() -> tuple[int, ...]:
-    def entry(byte: int) -> int:
-        crc = byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
-        return crc & 0xFFFF
-
-    return tuple(map(entry, range(256)))
+_CRC = crc_table(0x8005, 16)
 
 
-_CRC = _table()
-
-
-def crc16(data: bytes, crc: int = 0) -> int:
-    """CRC-16, polynomial 8005, not reflected, initial value `crc`."""
+def crc16(data: bytes) -> int:
+    """CRC-16, polynomial 8005, not reflected, initial value 0."""
+    crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
     return crc
@@ -180,12 +171,14 @@ class DynamixelMake(ServoMake):
     name = "DYNAMIXEL"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
     hardware_error, goal, position, voltage, temperature = HARDWARE_ERROR, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    min_position, max_position = MIN_POSITION, MAX_POSITION
     watchdog = WATCHDOG
     unlock = None
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
     status_span = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
     cycle_span = (WATCHDOG.address, POSITION.end - WATCHDOG.address)
+    fixed_settings = (RETURN_DELAY, 0), (OPERATING_MODE, 3), (DRIVE_MODE, 4), (HOMING_OFFSET, 0), (SHUTDOWN, _SHUTDOWN)
     all_answered, ping_bytes = 2, 3
     alert, refusals = ALERT, 0x7F
     supply_v = (9.0, 14.0)
@@ -219,19 +212,6 @@ class DynamixelMake(ServoMake):
     def restart(self, servo: int) -> bytes:
         """Reboot the servo, which also clears all values outside the EEPROM."""
         return encode(servo, Instruction.REBOOT)
-
-    def settings(self, low: int, high: int) -> Settings:
-        """Position mode, time-based profiles, no delay, no offset, limits, shutdown, answer all instructions."""
-        return (
-            (RETURN_DELAY, 0),
-            (OPERATING_MODE, 3),
-            (DRIVE_MODE, 4),
-            (HOMING_OFFSET, 0),
-            (SHUTDOWN, _SHUTDOWN),
-            (MIN_POSITION, low),
-            (MAX_POSITION, high),
-            (STATUS_LEVEL, self.all_answered),
-        )
 
     def profile(self, span_ms: int) -> Settings:
         """Time-based, without acceleration phase."""

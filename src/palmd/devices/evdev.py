@@ -108,24 +108,16 @@ class _Contact:
 
     def take(self, code: int, value: int) -> None:
         """Set the value of one axis."""
-        match code:
-            case 0x00 | 0x35:
-                self.x = value
-            case 0x01 | 0x36:
-                self.y = value
-            case 0x18 | 0x3A:
-                self.pressure = value
-            case 0x19 | 0x3B:
-                self.distance = value
-            case 0x37:
-                self.tool = value
-            case 0x39:
-                self.order = self.order if value == self.id else 0  # another id is another contact
-                self.id = value
+        if code == MT_TRACKING_ID and value != self.id:
+            self.order = 0  # another id is another contact
+        setattr(self, _FIELDS[code], value)
 
 
-_SINGLE_AXES = (ABS_X, ABS_Y, ABS_PRESSURE, ABS_DISTANCE)
-_MT_AXES = (MT_X, MT_Y, MT_TOOL_TYPE, MT_TRACKING_ID, MT_PRESSURE, MT_DISTANCE)
+_SINGLE_AXES = {ABS_X: "x", ABS_Y: "y", ABS_PRESSURE: "pressure", ABS_DISTANCE: "distance"}
+_MT_AXES = {
+    MT_X: "x", MT_Y: "y", MT_PRESSURE: "pressure", MT_DISTANCE: "distance", MT_TOOL_TYPE: "tool", MT_TRACKING_ID: "id",
+}  # fmt: skip
+_FIELDS = _SINGLE_AXES | _MT_AXES
 
 
 class EvdevReader:
@@ -299,9 +291,9 @@ class EvdevReader:
         if self.protocol is Protocol.PACKETS:
             self._packets = present
         self._packet_ends, self._frame_says_lifted = 0, False
-        touching = [
-            each for each in present if each.touches and self._touch_key is not False and self._single_on_surface
-        ]
+        # some devices report ABS_DISTANCE for all contacts together
+        on_surface = self._touch_key is not False and not self._single.distance
+        touching = [each for each in present if on_surface and each.touches]
         self.counters.not_touching += bool(present) and not touching
         for contact in present:
             if contact not in touching:
@@ -323,11 +315,6 @@ class EvdevReader:
             return None
         reported, self._reported = self._reported, False
         return PadReport(t_stamp, t_recv, 0, 0, 0, in_use=False, batched=False) if reported else None
-
-    @property
-    def _single_on_surface(self) -> bool:
-        """Whether ABS_DISTANCE, which some devices report for all contacts together, is 0."""
-        return not self._single.distance
 
     def _pressure(self, contact: _Contact) -> int | None:
         return contact.pressure if contact.pressure is not None else self._single.pressure

@@ -47,9 +47,9 @@ class EvdevPort(ReopenedPort):
 
     read_bytes = READ_RECORDS * RECORD.size
 
-    def __init__(self, name: str, path: str, retry_s: float = 0.5, axis: Coordinate = "x") -> None:
+    def __init__(self, name: str, path: str, axis: Coordinate = "x") -> None:
         """See `ReopenedPort`; the device must have `axis`."""
-        super().__init__(name, path, retry_s)
+        super().__init__(name, path)
         self._axis = axis
         self.device: TouchDevice | None = None
         """The kernel's description; None while it is closed, and if it is no input device."""
@@ -60,7 +60,9 @@ class EvdevPort(ReopenedPort):
         try:
             self.device = describe_device(fd)
             if self.device is not None:
-                _refuse_unsupported(self.path, self.device, self._axis)
+                if (reason := unsupported(self.device, self._axis)) is not None:
+                    text = f"{self.path} ({self.device.name}) {reason}: {LIST_COMMAND} shows the devices"
+                    raise UnsupportedDeviceError(text)
                 fcntl.ioctl(fd, CLOCK, struct.pack("<i", time.CLOCK_MONOTONIC))
                 fcntl.ioctl(fd, GRAB, 1)
         except BaseException:
@@ -138,12 +140,6 @@ def describe_device(fd: int) -> TouchDevice | None:
         properties,
         _bits(fd, _HAS_MOVES, _REL_BYTES),
     )
-
-
-def _refuse_unsupported(path: str, device: TouchDevice, axis: Coordinate) -> None:
-    reason = unsupported(device, axis)
-    if reason is not None:
-        raise UnsupportedDeviceError(f"{path} ({device.name}) {reason}: {LIST_COMMAND} shows the devices")
 
 
 def _bits(fd: int, request: int, size: int) -> frozenset[int]:

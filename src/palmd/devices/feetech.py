@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
+from functools import partial
 
 from palmd.devices.framing import Frame, FrameScanner, Head
 from palmd.devices.servobus import BROADCAST, Packet, PacketReader, Register, ServoMake, Settings, UnsupportedModel
@@ -103,20 +104,16 @@ def _is_valid(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
-def _answer(frame: Frame) -> Packet:
+def _packet(answers: bool, frame: Frame) -> Packet:
     t_first, raw = frame
-    return Packet(t_first, raw[2], 0, raw[4], raw[5:-1], is_status=True)
-
-
-def _question(frame: Frame) -> Packet:
-    t_first, raw = frame
-    return Packet(t_first, raw[2], raw[4], 0, raw[5:-1], is_status=False)
+    instruction, error = (0, raw[4]) if answers else (raw[4], 0)
+    return Packet(t_first, raw[2], instruction, error, raw[5:-1], is_status=answers)
 
 
 def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
     """Create a reader of answers, or of requests. Raises ValueError if `baud` (bit/s) is not positive."""
     scanner = FrameScanner(baud, _size, _is_valid, first_byte=_FILLER)
-    return PacketReader(scanner, _answer if answers else _question)
+    return PacketReader(scanner, partial(_packet, answers))
 
 
 class FeetechMake(ServoMake):
@@ -125,12 +122,14 @@ class FeetechMake(ServoMake):
     name = "Feetech"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
     hardware_error, goal, position, voltage, temperature = STATUS, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    min_position, max_position = MIN_POSITION, MAX_POSITION
     watchdog = None
     unlock = LOCK
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
     status_span = (TORQUE.address, STATUS.end - TORQUE.address)
     cycle_span = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
+    fixed_settings = (RETURN_DELAY, 0), (OPERATING_MODE, 0), (HOMING_OFFSET, 0), (UNLOADING, _UNLOADING)
     all_answered, ping_bytes = 1, 0
     alert = FeetechError.VOLTAGE | FeetechError.ENCODER | _UNLOADING
     refusals = 0
@@ -153,18 +152,6 @@ class FeetechMake(ServoMake):
     def restart(self, servo: int) -> bytes:
         """Turn the torque off, which ends the protection mode."""
         return self.write(servo, TORQUE, 0)
-
-    def settings(self, low: int, high: int) -> Settings:
-        """Position mode, no delay, no offset, limits, protection, answer all instructions."""
-        return (
-            (RETURN_DELAY, 0),
-            (OPERATING_MODE, 0),
-            (HOMING_OFFSET, 0),
-            (UNLOADING, _UNLOADING),
-            (MIN_POSITION, low),
-            (MAX_POSITION, high),
-            (STATUS_LEVEL, self.all_answered),
-        )
 
     def profile(self, span_ms: int) -> Settings:  # noqa: ARG002
         """No acceleration limit; each goal is sent with its speed."""

@@ -19,6 +19,21 @@ Frame = tuple[float, bytes]
 """Arrival time (s) of a frame's first byte, and the frame's bytes."""
 
 
+def crc_table(polynomial: int, bits: int, *, reflected: bool = False) -> tuple[int, ...]:
+    """The table of a CRC of so many bits: what it becomes by each byte, starting from 0.
+
+    reflected: the CRC shifts to the right, and the polynomial is given in that order.
+    """
+    mask, top = (1 << bits) - 1, 1 if reflected else 1 << bits - 1
+    table = []
+    for crc in range(256) if reflected else range(0, 256 << bits - 8, 1 << bits - 8):
+        for _ in range(8):
+            shifted = crc >> 1 if reflected else crc << 1 & mask
+            crc = shifted ^ polynomial if crc & top else shifted
+        table.append(crc)
+    return tuple(table)
+
+
 @dataclass(slots=True)
 class FrameCounters(Counters):
     """Counters of a line; `bytes` are those of frames, the discarded ones and those pending.

@@ -231,8 +231,13 @@ PadFactory = Callable[[int, Any], PadDriver]
 
 def make_pad(number: int, config: PadConfig) -> PadDriver:
     """Create the driver of a configured pad."""
-    factory: PadFactory = importlib.import_module(f"palmd.devices.pads.{config.kind}").DRIVER
+    factory: PadFactory = _of_kind(config.kind, "DRIVER")
     return factory(number, config)
+
+
+def _of_kind(kind: str, name: str, default: Any = None) -> Any:
+    """What the module of a kind of pad defines under this name."""
+    return getattr(importlib.import_module(f"palmd.devices.pads.{kind}"), name, default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,22 +264,19 @@ class InspectedPad:
 
 def inspect_pad(config: PadConfig) -> InspectedPad:
     """Inspect a pad's device without grabbing it. It may open the device: not for the loop."""
-    inspect = getattr(importlib.import_module(f"palmd.devices.pads.{config.kind}"), "inspect", None)
-    found: InspectedPad = InspectedPad(config) if inspect is None else inspect(config)
+    found: InspectedPad = _of_kind(config.kind, "inspect", InspectedPad)(config)
     return found
 
 
 def pad_counter_names(kind: str) -> tuple[str, str, str] | None:
     """Names of a kind's counters of received bytes, of reports and of bytes outside reports; None if it has none."""
-    counted: tuple[str, str, str] | None = getattr(
-        importlib.import_module(f"palmd.devices.pads.{kind}"), "COUNTER_NAMES", None
-    )
+    counted: tuple[str, str, str] | None = _of_kind(kind, "COUNTER_NAMES")
     return counted
 
 
 def pad_note(kind: str) -> str:
     """Note for users who choose this kind of pad; may be empty."""
-    note: str = getattr(importlib.import_module(f"palmd.devices.pads.{kind}"), "NOTE", "")
+    note: str = _of_kind(kind, "NOTE", "")
     return note
 
 

@@ -96,7 +96,7 @@ class ReopenedPort(ABC):
     read_bytes = READ_BYTES
     """Largest size of one read."""
 
-    def __init__(self, name: str, path: str, retry_s: float) -> None:
+    def __init__(self, name: str, path: str, retry_s: float = 0.5) -> None:
         """`name` is for messages, `path` the device (links are followed).
 
         While the port is closed, `poll_open` tries every `retry_s` seconds. Nothing is opened yet.

@@ -73,7 +73,6 @@ class SerialPad(PadDriver, Generic[Report, Counters]):
 
     @property
     def touching(self) -> bool:
-        """See `PadDriver`."""
         return self._touch.touching
 
     @property
@@ -94,18 +93,15 @@ class SerialPad(PadDriver, Generic[Report, Counters]):
         """Whether a report is saturated: its force is a lower bound."""
 
     def port(self) -> Port:
-        """The serial line."""
         return Port(f"pad{self._number}", self._base.port, self._baud)
 
     def lost(self, t: float) -> list[PadLift]:
-        """See `PadDriver`."""
         self.is_open = False
         self._decoder.reset()
         lift = self._touch.poll(math.inf)
         return [] if lift is None else [self._end_touch(PadLift(t, self._number), "silent")]
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """See `PadDriver`."""
         events: list[PadSample | PadLift] = []
         if data:
             self._touch.bytes_received(t)
@@ -124,14 +120,12 @@ class SerialPad(PadDriver, Generic[Report, Counters]):
         return [] if lift is None else [self._end_touch(lift, "silent")]
 
     def reports(self, data: bytes, t: float) -> Sequence[Report]:
-        """See `PadDriver`."""
         reports = self._decoder.feed(data, t)
         if reports:
             self._latest, self._bytes_at_packet = reports[-1], self._counters.bytes
         return reports
 
     def counts(self) -> dict[str, int]:
-        """See `PadDriver`."""
         return self._counters.as_dict()
 
     @property
@@ -147,7 +141,6 @@ class SerialPad(PadDriver, Generic[Report, Counters]):
         }
 
     def finding(self, condition: str) -> str:
-        """See `PadDriver`."""
         if condition != "silent" or (self._bytes_since_packet < MIN_PACKET_BYTES and not self._is_foreign):
             return super().finding(condition)
         return "foreign" if self._is_foreign else "unreadable"

@@ -150,9 +150,9 @@ class ServoMake(ABC):
     level at which every instruction is answered. ping_bytes: number of parameters in the answer to a ping, which begin
     with the model if there are any. alert: bits of an answer's error that report a hardware error; refusals: bits that
     report that the instruction was not executed. settings_end: registers below this address keep their values without
-    power. unlock: must be 0 while those are written. watchdog: stops the servo when instructions cease; None if the
-    make has none. error_bits: for each bit of the hardware error register, the code in the fault table without the
-    arm's name, and its text.
+    power. unlock: must be 0 while those are written. fixed_settings: required values that do not depend on the rig.
+    watchdog: stops the servo when instructions cease; None if the make has none. error_bits: for each bit of the
+    hardware error register, the code in the fault table without the arm's name, and its text.
     """
 
     name: str
@@ -163,6 +163,8 @@ class ServoMake(ABC):
     return_delay: Register
     hardware_error: Register
     goal: Register
+    min_position: Register
+    max_position: Register
     position: Register
     voltage: Register
     temperature: Register
@@ -172,6 +174,7 @@ class ServoMake(ABC):
     table_bytes: int
     status_span: Span
     cycle_span: Span
+    fixed_settings: Settings
     all_answered: int
     ping_bytes: int
     alert: int
@@ -227,9 +230,10 @@ class ServoMake(ABC):
     def restart(self, servo: int) -> bytes:
         """Clear the servo's hardware errors; answered without parameters."""
 
-    @abstractmethod
     def settings(self, low: int, high: int) -> Settings:
         """Settings required before the torque is enabled, in writing order; `low` and `high` are limits in counts."""
+        limits = (self.min_position, low), (self.max_position, high)
+        return (*self.fixed_settings, *limits, (self.status_level, self.all_answered))
 
     @abstractmethod
     def profile(self, span_ms: int) -> Settings:

@@ -14,7 +14,7 @@ from typing import Literal, Self
 
 from palmd.devices import dynamixel as dxl
 from palmd.devices.port import Port, PortUnavailableError
-from palmd.devices.servobus import CENTRE, Axis, Packet, Registers, ServoMake
+from palmd.devices.servobus import CENTRE, Axis, Packet, Register, Registers, ServoMake
 from palmd.devices.servohost import cycle_period
 from palmd.devices.servoscripts import ANSWER_S
 
@@ -117,6 +117,10 @@ def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
             f"check supply and cable; set id {axis.id} and that speed with the maker's tool, one servo at a time",
         )
     return answers[0][0]
+
+
+def _write(talk: ServoTalk, axis: Axis, register: Register, value: int) -> Packet:
+    return _answer(talk, axis.make.write(axis.id, register, value), axis)
 
 
 def _registers(talk: ServoTalk, axis: Axis) -> Registers:
@@ -227,7 +231,7 @@ def _ignores_damage(talk: ServoTalk, axis: Axis) -> str:
 
 def _refuses(talk: ServoTalk, axis: Axis) -> str:
     """Without torque; the goal stays unchanged."""
-    answer = _answer(talk, axis.make.write(axis.id, dxl.GOAL, axis.high + 1), axis)
+    answer = _write(talk, axis, dxl.GOAL, axis.high + 1)
     if not answer.error & ~dxl.ALERT:
         raise ServoDeviationError(
             "it accepts a goal beyond its limit", "update its firmware; palmd run sets the limits"
@@ -237,11 +241,11 @@ def _refuses(talk: ServoTalk, axis: Axis) -> str:
 
 def _watchdog_trips(talk: ServoTalk, axis: Axis) -> str:
     """Without torque."""
-    _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 2), axis)
+    _write(talk, axis, dxl.WATCHDOG, 2)
     talk.wait(0.100)
     registers = _registers(talk, axis)
-    refused = _answer(talk, axis.make.write(axis.id, dxl.GOAL, registers[dxl.GOAL]), axis).error
-    _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 0), axis)
+    refused = _write(talk, axis, dxl.GOAL, registers[dxl.GOAL]).error
+    _write(talk, axis, dxl.WATCHDOG, 0)
     if registers[dxl.WATCHDOG] != -1:
         raise ServoDeviationError(
             f"after 100 ms of silence register 98 is {registers[dxl.WATCHDOG]}, not -1", "update its firmware"
@@ -257,10 +261,10 @@ def _holds(talk: ServoTalk, axis: Axis) -> str:
     """With torque, at its position."""
     make = axis.make
     position = _registers(talk, axis)[axis.make.position]
-    _answer(talk, make.write(axis.id, make.goal, position), axis)
-    _answer(talk, make.write(axis.id, make.torque, 1), axis)
+    _write(talk, axis, make.goal, position)
+    _write(talk, axis, make.torque, 1)
     try:
-        locked = _answer(talk, make.write(axis.id, make.return_delay, 0), axis).error
+        locked = _write(talk, axis, make.return_delay, 0).error
         talk.wait(0.2)
         now = _registers(talk, axis)[make.position]
     finally:
@@ -279,16 +283,12 @@ def _stops_without_instructions(talk: ServoTalk, axis: Axis) -> str:
     """With torque: start a move of 4° in half a second, then send nothing."""
     position = _registers(talk, axis)[axis.make.position]
     goal = position + STEP_COUNTS if position + STEP_COUNTS <= axis.high else position - STEP_COUNTS
-    for register, value in (
-        (dxl.PROFILE_ACCELERATION, 0),
-        (dxl.PROFILE_VELOCITY, 500),
-        (dxl.GOAL, position),
-        (dxl.TORQUE, 1),
-    ):
-        _answer(talk, axis.make.write(axis.id, register, value), axis)
+    profile = (dxl.PROFILE_ACCELERATION, 0), (dxl.PROFILE_VELOCITY, 500)
+    for register, value in (*profile, (dxl.GOAL, position), (dxl.TORQUE, 1)):
+        _write(talk, axis, register, value)
     try:
-        _answer(talk, axis.make.write(axis.id, dxl.WATCHDOG, 5), axis)
-        _answer(talk, axis.make.write(axis.id, dxl.GOAL, goal), axis)
+        _write(talk, axis, dxl.WATCHDOG, 5)
+        _write(talk, axis, dxl.GOAL, goal)
         talk.wait(0.250)
         first = _registers(talk, axis)
         talk.wait(0.150)

@@ -221,13 +221,11 @@ class ServoHost(Actuator):
         return self.faults.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:
-        """All counters of the bus since the start."""
         return self.counters.as_dict()
 
     # Requests
 
     def request_tracking(self) -> None:
-        """Request tracking: goals are then sent automatically, the first at the actual pose."""
         if self._phase is not Phase.IDLE:
             self.refusal = None if self.tracking else "start refused: the servos are not ready"
         elif self.faults:
@@ -261,7 +259,6 @@ class ServoHost(Actuator):
     # Input
 
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
-        """Process the bytes read at `t_recv` (s, monotonic) and return the reports that they complete."""
         return self._take(self._reader.feed(data, t_recv), t_recv)
 
     def _take(self, packets: list[Packet], t_recv: float) -> list[ArmReport]:
@@ -367,7 +364,6 @@ class ServoHost(Actuator):
     # Output
 
     def due(self) -> float:
-        """Return the time (s) of the next `poll`; always after the last `poll`."""
         if self._request is not None:
             if self._tries:
                 return self._t_request + ANSWER_S
@@ -404,7 +400,8 @@ class ServoHost(Actuator):
             out = self._slow_down()
         if self._cycle is not None and t - self._cycle.t_sent < self._patience_s(period):
             return Outgoing(out, setpoint)  # a late answer must not be mistaken for one to a later request
-        self._end_cycle()
+        self.counters.missed += self._cycle is not None
+        self.counters.unmatched += len(self._reader.flush())
         self._cycles += 1
         reads_status = not moving or self._cycles % STATUS_EVERY == 0
         address, size = self._make.status_span if reads_status else self._make.cycle_span
@@ -416,13 +413,6 @@ class ServoHost(Actuator):
         """Return how long (s) to wait for an answer before the next request; adapts to the adapter's delay."""
         held_s = min(WAIT_SHARE * max(self._latencies_s, default=0.0), ANSWER_S)
         return max(WAIT_PERIODS * period, held_s)
-
-    def _end_cycle(self) -> None:
-        if self._cycle is not None:
-            self.counters.missed += 1
-            self._cycle = None
-        for _ in self._reader.flush():
-            self.counters.unmatched += 1
 
     def _follow(self, target: ArmPose | None) -> tuple[bytes, ArmPose | None]:
         goals, setpoint = self._goals, None

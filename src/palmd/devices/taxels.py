@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.config.pads import TaxelsConfig
-from palmd.devices.framing import FrameCounters, FrameScanner, Head
+from palmd.devices.framing import FrameCounters, FrameScanner, Head, crc_table
 from palmd.devices.pad import PadReport
 from palmd.events import FloatArray
 
@@ -235,18 +235,12 @@ def modbus_crc(data: bytes) -> int:
     return crc
 
 
-def _modbus_entry(byte: int) -> int:
-    for _ in range(8):
-        byte = byte >> 1 ^ 0xA001 if byte & 1 else byte >> 1
-    return byte
+_MODBUS = crc_table(0xA001, 16, reflected=True)
 
 
-_MODBUS = tuple(map(_modbus_entry, range(256)))
-
-
-def modbus_frame(function: int, data: bytes, address: int = ST0001_ADDRESS) -> bytes:
+def modbus_frame(function: int, data: bytes) -> bytes:
     """Encode a request or an answer with its CRC."""
-    body = bytes((address, function)) + data
+    body = bytes((ST0001_ADDRESS, function)) + data
     return body + modbus_crc(body).to_bytes(2, "little")
 
 

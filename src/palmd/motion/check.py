@@ -38,13 +38,10 @@ def motion_limits(config: AnyConfig) -> MotionLimits:
     return _form(config.system).configured(config)
 
 
-def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
-    """Load a plan and compile it within the limits; raises ConfigError with file:line:col of every error.
-
-    start: pose of the palms (rad), as for `compile_plan`.
-    """
+def load_trajectory(path: Path, limits: MotionLimits) -> Trajectory:
+    """Load a plan and compile it within the limits; raises ConfigError with file:line:col of every error."""
     document = read_document(path)
-    return compiled(document, plan_spec(document, limits), limits, start)
+    return compiled(document, plan_spec(document, limits), limits, None)
 
 
 def plan_spec(document: Document, limits: MotionLimits) -> AnyPlanSpec:
@@ -136,13 +133,17 @@ def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:
     return documents
 
 
+def _error(document: Document, place: tuple[str, ...], text: str) -> str:
+    return document.line(document.place(place), f"{'.'.join(place)}: {text}")
+
+
 def _outline_errors(document: Document, config: AnyConfig) -> list[str]:
     """Return the error of the stored outlines that a configuration refers to, if any."""
     try:
         if config.outlines is not None:
             read_library(config.outlines)
     except OutlineError as error:
-        return [document.line(document.place(("observer", "shape")), f"observer.shape: {error}")]
+        return [_error(document, ("observer", "shape"), str(error))]
     return []
 
 
@@ -151,8 +152,8 @@ def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
     last = segments[-1] if isinstance(segments, list) and segments else None
     if not (isinstance(last, dict) and "explore" in last):
         return []
-    text = f"observer.primary: {plan.path} explores, which needs an observer that estimates an outline: set it to shape"
-    return [config.line(config.place(("observer", "primary")), text) for config in blind]
+    text = f"{plan.path} explores, which needs an observer that estimates an outline: set it to shape"
+    return [_error(config, ("observer", "primary"), text) for config in blind]
 
 
 def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
@@ -164,27 +165,24 @@ def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
     except KeysClosedError:  # the service's own: `palmd doctor` reports what its user may do
         return []
     except KeysError as error:
-        return [document.line(document.place(("bus", "keys")), f"bus.keys: {error}")]
+        return [_error(document, ("bus", "keys"), str(error))]
     return []
 
 
 def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
     """Return the error of the configured folder of runs, if any; a missing folder is created when needed."""
-    place = document.place(("record", "directory"))
+    place = "record", "directory"
     try:
         there = nearest(config.record.directory)
     except PermissionError:  # the service's own, most often: `palmd doctor` reports what its user may do
         return []
     except OSError as error:
-        return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
+        return [_error(document, place, f"{config.record.directory}: {error.strerror}")]
     if not there.is_dir():
-        return [document.line(place, f"record.directory: {there} is no folder: nothing could be recorded")]
-    if not is_writable_folder(there) and there.stat().st_uid in (
-        os.geteuid(),
-        0,
-    ):  # another user's is the service's own
-        text = f"record.directory: {there} is not writable: nothing could be recorded; see its permissions"
-        return [document.line(place, text)]
+        return [_error(document, place, f"{there} is no folder: nothing could be recorded")]
+    # another user's is the service's own
+    if not is_writable_folder(there) and there.stat().st_uid in (os.geteuid(), 0):
+        return [_error(document, place, f"{there} is not writable: nothing could be recorded; see its permissions")]
     return []
 
 
@@ -200,7 +198,7 @@ def _plan_named(document: Document, config: AnyConfig, errors: list[str], *, giv
         beside = {each.stem: each for each in _plans_beside(config.plan)}
         near = difflib.get_close_matches(config.plan.stem, beside, n=1)
         hint = f"; did you mean {beside[near[0]]}?" if near else ""
-        errors.append(document.line(document.place(("plan",)), f"plan: {config.plan} does not exist{hint}"))
+        errors.append(_error(document, ("plan",), f"{config.plan} does not exist{hint}"))
         return []
     resolved = config.plan.resolve()
     return [] if any(path.resolve() == resolved for path in given) else [config.plan]

@@ -133,7 +133,8 @@ class Explorer:
             return Decision("done", None, ended, coverage, reachable)
         states, touched, safe = self._after_move(belief, under_way)
         if not safe:
-            return Decision("unsafe", None, self._unsafe(), coverage, reachable)
+            danger = "lose a contact" + " or exceed the force limit of a pad" * (self._most_forces is not None)
+            return Decision("unsafe", None, f"the move under way would {danger}", coverage, reachable)
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
@@ -233,10 +234,6 @@ class Explorer:
         return "".join(f"; {part}" for part in parts)
 
     # ---- predictions and candidates -----------------------------------------------------------------------
-
-    def _unsafe(self) -> str:
-        danger = "lose a contact" if self._most_forces is None else "lose a contact or exceed the force limit of a pad"
-        return f"the move under way would {danger}"
 
     def _after_move(self, belief: PlanningBelief, under_way: UnderWay) -> tuple[FloatArray, Bools, bool]:
         """Return states and touched bins at the end of the move under way, and whether it is safe for all states."""

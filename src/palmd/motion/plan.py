@@ -54,7 +54,7 @@ APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's start, which nee
 DITHER_SHARE = 0.8  # largest share of the limits that the dither may use
 DITHER_GROW = 1.0  # s, growth and decay of the dither
 MAX_DRIFTING_ROUNDS = 100
-SETTLING_ROUNDS = 3  # rounds within which a plan becomes periodic, if it ever does
+SETTLING_ROUNDS = 3  # rounds within which a plan becomes periodic, if it ever does; enough for an invalid one, too
 _SAME_POSE = 1e-12
 _SMALL = 1e-9
 
@@ -253,7 +253,8 @@ class _Compiler:
             rounds.append(Round.of(segments))
             drift = max(abs(now - then) for now, then in zip(pose, begin, strict=True))
             settled = drift < _SAME_POSE and (lead_in == 0.0 or len(rounds) > 1)
-            if not settled and len(rounds) >= self._most_rounds(count):
+            most = SETTLING_ROUNDS if self.problems or math.isinf(count) else MAX_DRIFTING_ROUNDS
+            if not settled and len(rounds) >= most:
                 if count > MAX_DRIFTING_ROUNDS:
                     self._drifts(drift, len(rounds), count)
                 break
@@ -369,10 +370,6 @@ class _Compiler:
         if indices and self.spec.dither is not None:
             text = "a plan that explores cannot have a dither: its moves leave no room for one"
             self.problems[(("dither",), "exploration")] = text
-
-    def _most_rounds(self, count: float) -> int:
-        """Return how many different rounds are built at most; few if the plan is invalid anyway."""
-        return SETTLING_ROUNDS if self.problems or math.isinf(count) else MAX_DRIFTING_ROUNDS
 
     def _drifts(self, drift: float, rounds: int, count: float) -> None:
         times = "forever" if math.isinf(count) else f"{count:g} times"

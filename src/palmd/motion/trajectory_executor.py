@@ -167,29 +167,23 @@ class TrajectoryExecutor:
             self._drop()
 
     def _speed_rate(self, trajectory: Trajectory, dt: float) -> float:
-        """Return u̇ (1/s) towards the wanted speed, within the acceleration limit at both ends and middle of a step."""
+        """Return u̇ (1/s) towards the wanted speed, within the limits at both ends and middle of a step.
+
+        These are the acceleration limit, or the stops' limits while the palms are stopped hard.
+        """
         change = self._wanted_speed - self._speed
         if change == 0.0:
             return 0.0
-        if self._hard and change < 0.0:
-            return self._hard_speed_rate(trajectory, dt)
         speed_rate = math.copysign(_SPEED_RATE_MAX, change)
         for ahead in (0.0, 0.5 * dt, dt):
             duration = min(ahead, abs(change / speed_rate)) if speed_rate != 0.0 else ahead
             speed = self._speed + speed_rate * duration
-            tau = self._tau + 0.5 * (self._speed + speed) * duration
-            speed_rate = self._limited(speed_rate, self._plan_motion(trajectory, tau), speed)
+            planned = self._plan_motion(trajectory, self._tau + 0.5 * (self._speed + speed) * duration)
+            if self._hard and change < 0.0:
+                speed_rate = max(speed_rate, -self._limits.hardest_slowing(planned, speed))
+            else:
+                speed_rate = self._limited(speed_rate, planned, speed)
         return speed_rate
-
-    def _hard_speed_rate(self, trajectory: Trajectory, dt: float) -> float:
-        """Return u̇ (1/s) of a stop, within the stops' limits at both ends and middle of a step."""
-        slowing = _SPEED_RATE_MAX
-        for ahead in (0.0, 0.5 * dt, dt):
-            duration = min(ahead, self._speed / slowing) if slowing > 0.0 else ahead
-            speed = self._speed - slowing * duration
-            tau = self._tau + 0.5 * (self._speed + speed) * duration
-            slowing = min(slowing, self._limits.hardest_slowing(self._plan_motion(trajectory, tau), speed))
-        return -slowing
 
     def _limited(self, speed_rate: float, planned: PalmMotion, speed: float) -> float:
         """Reduce u̇, without reversing it, so that |α·u² + ω·u̇| respects the acceleration limit on both palms."""

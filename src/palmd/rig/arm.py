@@ -64,9 +64,13 @@ class Linkage:
     def angles(self, x: float, y: float) -> tuple[float, float] | None:
         """Palm angles for an arm position (m, arm coordinates); None where the linkage cannot reach."""
         c, s = self._yaw_cos_sin
-        return self._angles_from_base(
-            self.arm[0] + c * x - s * y - self.base[0], self.arm[1] + s * x + c * y - self.base[1]
-        )
+        dx, dy = self.arm[0] + c * x - s * y - self.base[0], self.arm[1] + s * x + c * y - self.base[1]
+        l1, l2 = self.palm1_length, self.palm2_length
+        cos_phi2 = (l1 * l1 + l2 * l2 - dx * dx - dy * dy) / (2.0 * l1 * l2)
+        if abs(cos_phi2) > _MAX_COSINE:
+            return None
+        phi2 = math.acos(cos_phi2)
+        return wrap_angle(math.atan2(dy, dx) - math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)), phi2
 
     def motion(self, x: tuple[float, float, float], y: tuple[float, float, float]) -> PalmMotion | None:
         """The palms' motion from the arm's (position, velocity, acceleration) along x and y, in arm coordinates.
@@ -74,13 +78,10 @@ class Linkage:
         The rates solve Ė = −L1·ω1·n(φ1) + L2·ω12·n(φ12), n(φ) = dt/dφ; the accelerations solve its derivative. None
         where `angles` is None.
         """
-        c, s = self._yaw_cos_sin
-        angles = self._angles_from_base(
-            self.arm[0] + c * x[0] - s * y[0] - self.base[0], self.arm[1] + s * x[0] + c * y[0] - self.base[1]
-        )
+        angles = self.angles(x[0], y[0])
         if angles is None:
             return None
-        phi1, phi2 = angles
+        (c, s), (phi1, phi2) = self._yaw_cos_sin, angles
         phi12 = phi1 + phi2
         l1, l2 = self.palm1_length, self.palm2_length
         c1, s1, c12, s12 = math.cos(phi1), math.sin(phi1), math.cos(phi12), math.sin(phi12)
@@ -93,14 +94,6 @@ class Linkage:
         alpha1 = -(ax * c12 + ay * s12) / (l1 * sin_phi2)
         alpha12 = -(ax * c1 + ay * s1) / (l2 * sin_phi2)
         return PalmMotion((phi1, phi2), (omega1, omega12 - omega1), (alpha1, alpha12 - alpha1))
-
-    def _angles_from_base(self, dx: float, dy: float) -> tuple[float, float] | None:
-        l1, l2 = self.palm1_length, self.palm2_length
-        cos_phi2 = (l1 * l1 + l2 * l2 - dx * dx - dy * dy) / (2.0 * l1 * l2)
-        if abs(cos_phi2) > _MAX_COSINE:
-            return None
-        phi2 = math.acos(cos_phi2)
-        return wrap_angle(math.atan2(dy, dx) - math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)), phi2
 
 
 def wrap_angle(angle: float) -> float:

@@ -31,6 +31,7 @@ from palmd.rig.plant import (
     Plant,
     PlantSettings,
     _Rates,
+    closing_forces,
     palm_frame,
 )
 from palmd.rig.shapes import Body
@@ -103,41 +104,39 @@ class CurvedPlant(Plant):
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         frame = self._frame = palm_frame(self.hinge, palms)
-        self._theta = [frame.out1 - psi, frame.out2 - psi]
-        opening = math.atan2(frame.c1 * frame.s12 - frame.s1 * frame.c12, frame.c1 * frame.c12 + frame.s1 * frame.s12)
-        mean, middle = self.body.support.at(0.0)[0], math.atan2(frame.s1, frame.c1) + 0.5 * opening
+        one, two = frame.palms
+        self._theta = [one.out - psi, two.out - psi]
+        opening = math.atan2(one.ty * two.tx - one.tx * two.ty, -one.tx * two.tx - one.ty * two.ty)
+        mean, middle = self.body.support.at(0.0)[0], math.atan2(one.ty, one.tx) + 0.5 * opening
         distance = mean / math.sin(0.5 * opening)
         state = self.state = BodyState(
             frame.ox + distance * math.cos(middle), frame.oy + distance * math.sin(middle), psi
         )
         state.omega0 = omega0
         for _ in range(_PLACEMENT_STEPS):
-            one, two = self._nearest_points(frame, state, _BLIND_STEPS)
-            if max(abs(one.gap), abs(two.gap)) < _PLACEMENT_TOLERANCE_M:
+            gap1, gap2 = (at.gap for at in self._nearest_points(frame, state, _BLIND_STEPS))
+            if max(abs(gap1), abs(gap2)) < _PLACEMENT_TOLERANCE_M:
                 break
-            dx, dy = self._displacement_for_gaps(frame, state, -one.gap, -two.gap)
+            dx, dy = self._displacement_for_gaps(frame, state, -gap1, -gap2)
             state.x, state.y = state.x + dx, state.y + dy
         rate1, rate2 = self._gap_rates(frame, state)
         state.vx, state.vy = self._displacement_for_gaps(frame, state, -rate1, -rate2)
-        self._on1 = self._on2 = True
+        self._on = [True, True]
         self.fallen = False
         self._settle_contacts()
 
     def contact_rates(self) -> tuple[float, float]:
-        """Speeds of both contacts along the palms, away from the hinge (m/s)."""
         frame, q = self._frame, self.state
         rates = []
         for palm, at in enumerate(self._nearest_points(frame, q)):
-            w = (frame.w1, frame.w12)[palm]
+            w = frame.palms[palm].turn
             px, py = q.vx - frame.vox - q.omega0 * at.yy + w * at.wy, q.vy - frame.voy + q.omega0 * at.yx - w * at.wx
             slip = -at.s * px + at.c * py  # ± ṡ = (slip + v(ω − ω0))/(1 − κv)
             rates.append((slip + at.v * (w - q.omega0)) / (1.0 - self._kappa[palm] * at.v))
         return rates[0], -rates[1]
 
     def radii(self) -> tuple[float, float]:
-        """r1 and r2 (m): the support function at both contact normals."""
         self._nearest_points(self._frame, self.state)
         at = self.body.support.at
         return at(self._theta[0])[0], at(self._theta[1])[0]
@@ -145,20 +144,20 @@ class CurvedPlant(Plant):
     # -- geometry -----------------------------------------------------------------------------------------
 
     def _normal(self, palm: int, frame: PalmFrame) -> tuple[float, float]:
-        nx, ny = (-frame.s1, frame.c1) if palm == 0 else (frame.s12, -frame.c12)
+        nx, ny = -frame.palms[palm].ty, frame.palms[palm].tx
         if slope := self._slopes[palm]:
             c, s = math.cos(slope), math.sin(slope)
             return c * nx - s * ny, s * nx + c * ny
         return nx, ny
 
-    def _nearest(self, palm: int, frame: PalmFrame, x: float, y: float, psi: float, steps: int = _STEPS) -> _Nearest:
+    def _nearest(self, palm: int, frame: PalmFrame, q: BodyState, steps: int = _STEPS) -> _Nearest:
         """By Newton's method on the stationarity of F along the outline, (ν − κw)·τ = 0."""
         nux, nuy = self._normal(palm, frame)
         kappa, standoff, at = self._kappa[palm], self._standoffs[palm], self.body.support.at
-        rx, ry = x - frame.ox, y - frame.oy
+        rx, ry = q.x - frame.ox, q.y - frame.oy
         theta = self._theta[palm]
         for remaining in range(steps, -1, -1):
-            c, s = math.cos(theta + psi), math.sin(theta + psi)
+            c, s = math.cos(theta + q.psi), math.sin(theta + q.psi)
             h, slope, second = at(theta)
             h += standoff
             v = h + second
@@ -174,7 +173,7 @@ class CurvedPlant(Plant):
         return _Nearest(c, s, wx, wy, yx, yy, nx, ny, gap, v)
 
     def _nearest_points(self, frame: PalmFrame, q: BodyState, steps: int = _STEPS) -> tuple[_Nearest, _Nearest]:
-        return self._nearest(0, frame, q.x, q.y, q.psi, steps), self._nearest(1, frame, q.x, q.y, q.psi, steps)
+        return self._nearest(0, frame, q, steps), self._nearest(1, frame, q, steps)
 
     def _distances(self) -> tuple[float, float]:
         """Arc lengths from the hinge, |w| = s sinc(κs/2); negative behind the hinge."""
@@ -182,11 +181,11 @@ class CurvedPlant(Plant):
         return self._arc_length(0, one), self._arc_length(1, two)
 
     def _arc_length(self, palm: int, at: _Nearest) -> float:
-        frame, kappa = self._frame, self._kappa[palm]
+        kappa, outwards = self._kappa[palm], 1.0 if palm == 0 else -1.0
         chord, half = math.hypot(at.wx, at.wy), 0.5 * abs(kappa)
         length = chord if half * chord < 1e-9 else math.asin(min(half * chord, 1.0)) / half
-        c, s = (frame.c1, frame.s1) if palm == 0 else (frame.c12, frame.s12)
-        return math.copysign(length, c * at.wx + s * at.wy)
+        line = self._frame.palms[palm]
+        return math.copysign(length, outwards * (line.tx * at.wx + line.ty * at.wy))
 
     def _gaps(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
         one, two = self._nearest_points(frame, q)
@@ -204,49 +203,37 @@ class CurvedPlant(Plant):
     def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
         rates = []
         for palm, at in enumerate(self._nearest_points(frame, q)):
-            w, (nux, nuy) = (frame.w1, frame.w12)[palm], self._normal(palm, frame)
+            w, (nux, nuy) = frame.palms[palm].turn, self._normal(palm, frame)
             px, py = q.vx - frame.vox - q.omega0 * at.yy, q.vy - frame.voy + q.omega0 * at.yx
             rates.append(at.nx * px + at.ny * py + w * (nux * at.wy - nuy * at.wx))
         return rates[0], rates[1]
 
     # -- motion -------------------------------------------------------------------------------------------
 
-    def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
+    def _solve(self, frame: PalmFrame, q: BodyState) -> _Rates:
         rho2 = self.body.rho**2
-        damping = -self.surface.damping * w / rho2
-        one = self._contact_equations(0, frame, x, y, psi, vx, vy, w) if self._on1 else None
-        two = self._contact_equations(1, frame, x, y, psi, vx, vy, w) if self._on2 else None
+        damping = -self.surface.damping * q.omega0 / rho2
+        contacts = [self._contact_equations(palm, frame, q) if on else None for palm, on in enumerate(self._on)]
         g = self._gravity_now()
 
-        def gap_response(row: _CurvedContact, column: _CurvedContact) -> float:
+        def gap_response(i: int, j: int) -> float:
+            row, column = contacts[i], contacts[j]
+            if row is None or column is None:
+                return float(i == j)
             return row.nx * column.fx + row.ny * column.fy + row.lever * column.torque / rho2
 
-        f1 = f2 = 0.0
-        if one and two:
-            b1, b2 = one.b - one.ny * g + one.lever * damping, two.b - two.ny * g + two.lever * damping
-            a11, a12, a21, a22 = (
-                gap_response(one, one),
-                gap_response(one, two),
-                gap_response(two, one),
-                gap_response(two, two),
-            )
-            det = a11 * a22 - a12 * a21
-            f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
-        elif one:
-            f1 = -(one.b - one.ny * g + one.lever * damping) / gap_response(one, one)
-        elif two:
-            f2 = -(two.b - two.ny * g + two.lever * damping) / gap_response(two, two)
+        b1, b2 = (at.b - at.ny * g + at.lever * damping if at else 0.0 for at in contacts)
+        f1, f2 = closing_forces(gap_response(0, 0), gap_response(0, 1), gap_response(1, 0), gap_response(1, 1), b1, b2)
         ax, ay, al = 0.0, -g, damping
-        for f, contact in ((f1, one), (f2, two)):
+        for f, contact in zip((f1, f2), contacts, strict=True):
             if contact:
                 ax, ay, al = ax + f * contact.fx, ay + f * contact.fy, al + f * contact.torque / rho2
         return ax, ay, al, f1, f2
 
-    def _contact_equations(
-        self, palm: int, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float
-    ) -> _CurvedContact:
-        at, (nux, nuy) = self._nearest(palm, frame, x, y, psi), self._normal(palm, frame)
-        wi, al = ((frame.w1, frame.al1), (frame.w12, frame.al12))[palm]
+    def _contact_equations(self, palm: int, frame: PalmFrame, q: BodyState) -> _CurvedContact:
+        vx, vy, w = q.vx, q.vy, q.omega0
+        at, (nux, nuy) = self._nearest(palm, frame, q), self._normal(palm, frame)
+        wi, al = frame.palms[palm].turn, frame.palms[palm].alpha
         kappa, standoff = self._kappa[palm], self._standoffs[palm]
         c, s, nx, ny = at.c, at.s, at.nx, at.ny
         px, py = vx - frame.vox - w * at.yy, vy - frame.voy + w * at.yx  # of the body's point
@@ -264,7 +251,7 @@ class CurvedPlant(Plant):
         # friction acts at the body's own point, which is nearer to its COM by the standoff
         yx, yy, wx, wy = at.yx - standoff * c, at.yy - standoff * s, at.wx - standoff * c, at.wy - standoff * s
         slip = -s * (vx - frame.vox - w * yy + wi * wy) + c * (vy - frame.voy + w * yx - wi * wx)
-        k = (self._friction1 if palm == 0 else self._friction2) * self._friction(slip)
+        k = self._frictions[palm] * self._friction(slip)
         fx, fy = -c + k * s, -s - k * c
         return _CurvedContact(nx, ny, at.yx * ny - at.yy * nx, b, fx, fy, yx * fy - yy * fx)
 

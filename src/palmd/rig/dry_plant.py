@@ -18,17 +18,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 from palmd.events import PalmMotion
 from palmd.rig.plant import (
     _DRIFT_RATE,
+    _NO_FORCE,
     BodyState,
+    BothContacts,
+    ContactMotion,
     FrictionSurface,
     PalmFrame,
     Plant,
+    UnitForce,
     _extrapolated_back,
     _Rates,
+    closing_forces,
+    gap_response,
+    unit_force,
 )
 
 DRY = FrictionSurface(mu=0.2, static=0.3)
@@ -40,38 +47,10 @@ _RELATIVE_REST = 1e-9  # rad/s and rad/s²: slower relative rotation of the palm
 _SIGNS: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-class _DryContactState(NamedTuple):
-    """A contact: the palm's tangent t, h and h′, and the motion of gap and slip without contact forces.
-
-    gap_acceleration: γ̈, slip_rate: derivative of the slip (m/s²), both with drift correction; slip: velocity of the
-    body's material along t relative to the palm's (m/s).
-    """
-
-    tx: float
-    ty: float
-    h: float
-    slope: float
-    gap_acceleration: float
-    slip_rate: float
-    slip: float
-
-
-class _UnitForce(NamedTuple):
-    """Force and torque on the body of a unit normal force, with the friction proportional to it."""
-
-    fx: float
-    fy: float
-    torque: float
-
-
-_BothContacts = tuple[_DryContactState | None, _DryContactState | None]
-
-
 class DryPlant(Plant):
     """As `Plant`, with friction coefficient `surface.mu` while slipping and up to `surface.static` while sticking."""
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         self._ratios = [0.0, 0.0]  # of friction to normal force, against t
         self._sticking_contact: int | None = None  # whose friction is solved for, 0 or 1
         super().place(palms, psi, omega0)
@@ -130,10 +109,10 @@ class DryPlant(Plant):
             rates = self._accelerations_for(contacts)
         return rates
 
-    def _both_at_rest(self, contacts: _BothContacts) -> _Rates:
-        frame, previous = self._frame, self._sticking_contact
-        (*_, rate, alpha, _), (*_, other_rate, other_alpha, _) = frame.each()
-        if max(abs(other_rate - rate), abs(other_alpha - alpha)) < _RELATIVE_REST:
+    def _both_at_rest(self, contacts: BothContacts) -> _Rates:
+        previous = self._sticking_contact
+        one, two = self._frame.palms
+        if max(abs(two.turn - one.turn), abs(two.alpha - one.alpha)) < _RELATIVE_REST:
             for i in (0, 1):
                 if (sticking := self._if_sticking(contacts, i)) is not None:
                     return sticking
@@ -154,10 +133,10 @@ class DryPlant(Plant):
                 break
         return rates
 
-    def _accelerations_for(self, contacts: _BothContacts) -> _Rates:
+    def _accelerations_for(self, contacts: BothContacts) -> _Rates:
         return self._constrained(contacts, self.state.omega0)
 
-    def _if_sticking(self, contacts: _BothContacts, i: int) -> _Rates | None:
+    def _if_sticking(self, contacts: BothContacts, i: int) -> _Rates | None:
         """The accelerations if contact i sticks; None if that requires more friction than available."""
         self._sticking_contact = i
         rates = self._accelerations_for(contacts)
@@ -171,36 +150,10 @@ class DryPlant(Plant):
 
     # -- equations ----------------------------------------------------------------------------------------
 
-    def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
-        return self._constrained(self._contacts_at(frame, BodyState(x, y, psi, vx, vy, w)), w)
+    def _solve(self, frame: PalmFrame, q: BodyState) -> _Rates:
+        return self._constrained(self._contacts_at(frame, q), q.omega0)
 
-    def _contacts_at(self, frame: PalmFrame, q: BodyState) -> _BothContacts:
-        one, two = (
-            self._contact(frame, q, *palm) if on else None for on, palm in zip(self.touching, frame.each(), strict=True)
-        )
-        return one, two
-
-    def _contact(
-        self, frame: PalmFrame, q: BodyState, tx: float, ty: float, out: float, turn: float, alpha: float, above: float
-    ) -> _DryContactState:
-        rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
-        gx, gy, w = -frame.aox, -self._gravity_now() - frame.aoy, q.omega0
-        damping = -self.surface.damping * w / self.body.rho**2
-        h, slope, bend = self.body.support.at(out - q.psi)
-        spin, along, over = turn - w, tx * rx + ty * ry, tx * ry - ty * rx
-        tangential, normal_speed = tx * ux + ty * uy, tx * uy - ty * ux
-        rate, slip = normal_speed - turn * along - slope * spin, tangential + w * h + turn * (over - h)
-        gap_acceleration = (
-            tx * gy - ty * gx - 2.0 * turn * tangential - alpha * along - turn * turn * over - bend * spin * spin
-            - slope * (alpha - damping) + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (over - h - above))
-        )  # fmt: skip
-        slip_rate = (
-            tx * gx + ty * gy + turn * normal_speed + w * slope * spin + h * damping + alpha * (over - h)
-            + turn * rate + _DRIFT_RATE * slip
-        )  # fmt: skip
-        return _DryContactState(tx, ty, h, slope, gap_acceleration, slip_rate, slip)
-
-    def _constrained(self, contacts: _BothContacts, w: float) -> _Rates:
+    def _constrained(self, contacts: BothContacts, w: float) -> _Rates:
         """Accelerations and normal forces from γ̈ = 0 at each contact and constant zero slip at the sticking one.
 
         Stores the friction that sticking requires in `_ratios`.
@@ -208,12 +161,12 @@ class DryPlant(Plant):
         rho2 = self.body.rho**2
         sticking = contacts[self._sticking_contact] if self._sticking_contact is not None else None
         one, two = (
-            self._unit_force(at, 0.0 if at is sticking else k) for at, k in zip(contacts, self._ratios, strict=True)
+            unit_force(at, 0.0 if at is sticking else k) if at else _NO_FORCE
+            for at, k in zip(contacts, self._ratios, strict=True)
         )
         a11, a12, b1 = self._row(contacts[0], one, two, sticking) if contacts[0] else (1.0, 0.0, 0.0)
         a21, a22, b2 = self._row(contacts[1], one, two, sticking) if contacts[1] else (0.0, 1.0, 0.0)
-        det = a11 * a22 - a12 * a21
-        f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
+        f1, f2 = closing_forces(a11, a12, a21, a22, b1, b2)
         ax, ay = f1 * one.fx + f2 * two.fx, f1 * one.fy + f2 * two.fy
         al = (f1 * one.torque + f2 * two.torque) / rho2
         if sticking is not None and self._sticking_contact is not None:
@@ -227,17 +180,12 @@ class DryPlant(Plant):
             )
         return ax, ay - self._gravity_now(), al - self.surface.damping * w / rho2, f1, f2
 
-    def _unit_force(self, at: _DryContactState | None, ratio: float) -> _UnitForce:
-        if at is None:
-            return _UnitForce(0.0, 0.0, 0.0)
-        return _UnitForce(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
-
     def _row(
-        self, at: _DryContactState, one: _UnitForce, two: _UnitForce, sticking: _DryContactState | None
+        self, at: ContactMotion, one: UnitForce, two: UnitForce, sticking: ContactMotion | None
     ) -> tuple[float, float, float]:
         """A row of γ̈ = A·f + b: the coefficients of both normal forces, with the sticking constraint, and b."""
         rho2 = self.body.rho**2
-        a1, a2 = (at.tx * by.fy - at.ty * by.fx + at.slope * by.torque / rho2 for by in (one, two))
+        a1, a2 = gap_response(at, one, rho2), gap_response(at, two, rho2)
         if sticking is None:
             return a1, a2, at.gap_acceleration
         coupling = at.tx * sticking.ty - at.ty * sticking.tx + at.slope * sticking.h / rho2
@@ -245,7 +193,7 @@ class DryPlant(Plant):
         b1, b2 = (sticking.tx * by.fx + sticking.ty * by.fy + sticking.h * by.torque / rho2 for by in (one, two))
         return a1 - coupling * b1, a2 - coupling * b2, at.gap_acceleration - coupling * sticking.slip_rate
 
-    def _slip_rates(self, contacts: _BothContacts, rates: _Rates) -> tuple[float, float]:
+    def _slip_rates(self, contacts: BothContacts, rates: _Rates) -> tuple[float, float]:
         """d(slip)/dt at both contacts (m/s²) for these accelerations."""
         ax, ay, al, _, _ = rates
         ay += self._gravity_now()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class FaultInjector:
         self._waiting = [o for o in self._waiting if o.name != name or port not in (None, o.port)]
         for key, active in self._active.items():
             if active.name == name and port in (None, active.port):
-                self._active[key] = FaultOrder(name, active.port, active.strength, active.t_on, 0.0)
+                self._active[key] = replace(active, t_off=0.0)
 
     def update(self, t: float) -> list[tuple[FaultOrder, bool]]:
         """The orders that have begun (True) or ended (False) by t (s) since the last call."""

@@ -133,18 +133,17 @@ class PtyLine(EmulatedLine):
         self._attached = False
 
     def plug(self) -> None:
-        """See `EmulatedLine`."""
         if self._fd is not None:
             return
         self._fd, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._fd, False)
-        _packet_mode(self._fd)
+        # packet mode: a status byte precedes each read's data, so that a flush by the host can be detected
+        fcntl.ioctl(self._fd, termios.TIOCPKT, b"\x01\x00\x00\x00")
         self._link_to(os.ttyname(slave))
         os.close(slave)
 
     def unplug(self) -> None:
-        """See `EmulatedLine`."""
         if self._fd is None:
             return
         self.path.unlink(missing_ok=True)
@@ -152,7 +151,6 @@ class PtyLine(EmulatedLine):
         self._fd, self._attached = None, False
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """See `EmulatedLine`."""
         self._attached = not events & select.POLLHUP
         out, flushed = b"", False
         while self._fd is not None and events & (select.POLLIN | select.POLLPRI):
@@ -214,7 +212,6 @@ class SocketLine(EmulatedLine):
         self._epoll.register(listener, select.EPOLLIN)
 
     def unplug(self) -> None:
-        """See `EmulatedLine`."""
         if self._listener is None or self._epoll is None:
             return
         self._epoll.close()
@@ -226,7 +223,6 @@ class SocketLine(EmulatedLine):
             self._host = None
 
     def read(self, events: int) -> tuple[bytes, bool]:
-        """See `EmulatedLine`."""
         if not events or self._listener is None or self._epoll is None:
             return b"", False
         if self._host is None:
@@ -300,8 +296,3 @@ def _poll_once(fd: int) -> int:
     poll = select.poll()
     poll.register(fd, _EVENTS)
     return dict(poll.poll(0)).get(fd, 0)
-
-
-def _packet_mode(master: int) -> None:
-    """Switch on packet mode: a status byte precedes each read's data, so that a flush by the host can be detected."""
-    fcntl.ioctl(master, termios.TIOCPKT, b"\x01\x00\x00\x00")

@@ -144,7 +144,6 @@ class MujocoPlant(Plant):
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         super().place(palms, psi, omega0)
         q, data = self.state, self._data
         mujoco.mj_resetData(self._model, data)
@@ -182,7 +181,6 @@ class MujocoPlant(Plant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple of the vibration."""
         return self._turning.rate if self._turning else self.state.omega0
 
     # -- time steps ---------------------------------------------------------------------------------------
@@ -237,6 +235,6 @@ class MujocoPlant(Plant):
         self._t_last_contact = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_last_contact, strict=True)]
         if data.ncon:
             self.penetration_m = max(self.penetration_m, -float(data.contact.dist.min()))
-        self._on1, self._on2 = self.touching
+        self._on = list(self.touching)
         self._update_tangent_planes()
         self._drop_if_off_the_palms()

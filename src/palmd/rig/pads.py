@@ -109,13 +109,17 @@ class PadEmulator(ABC):
     def _begin(self, t: float) -> None:  # noqa: B027
         """Initialise what only this kind has, at t (s)."""
 
-    @abstractmethod
+    _report_s: float
+    _jitter_s: float
+    """Mean and standard deviation of the time between reports, of a pad that reports at a constant rate."""
+
     def _interval(self) -> float:
         """Time until the next report (s)."""
+        return self._report_s + float(self._rng.normal(0.0, self._jitter_s))
 
     def _min_interval(self) -> float:
         """Shortest time between reports (s)."""
-        return 0.0
+        return self._report_s - 5 * self._jitter_s
 
     @property
     def _noise_m(self) -> float:

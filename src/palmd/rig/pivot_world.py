@@ -22,7 +22,7 @@ from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
+from palmd.rig.pads import GOOD_PADS, Press, make_emulator
 from palmd.rig.pivot import Axis, Grasp, Slide
 from palmd.rig.pivot_arm import PivotArm
 from palmd.rig.shapes import Kind, random_body
@@ -56,9 +56,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
 
     topics = (PIVOT_TRUTH, PIVOT_BODY)
 
-    def __init__(
-        self, config: PivotConfig, seed: int, *, kind: Kind = "rig", pad_options: PadOptions = GOOD_PADS, t: float = 0.0
-    ) -> None:
+    def __init__(self, config: PivotConfig, seed: int, *, kind: Kind = "rig", t: float = 0.0) -> None:
         """The gripper at rest in the middle over the pad, at the top; a random body hangs from it.
 
         The configuration's `rig.imperfections` states the rig's true errors.
@@ -70,7 +68,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
         self._pad_error = self.imperfections.pads[0]
         rng, pad = np.random.default_rng(seed), config.pads.palm1
         arm = PivotArm(config, rng, step_s=STEP_S)
-        super().__init__({PAD: make_emulator(pad, pad_options, self._pad_error.reading_error_m, rng, t)}, arm, rng, t)
+        super().__init__({PAD: make_emulator(pad, GOOD_PADS, self._pad_error.reading_error_m, rng, t)}, arm, rng, t)
         self._pad_length = pad.length_mm * 1e-3
         self._side, self._z_at_loss = 1.0, -math.inf
         self._psi = self._force = 0.0

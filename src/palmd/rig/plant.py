@@ -104,45 +104,64 @@ AS_ASSUMED = PlantOptions()
 """A plant as the observer assumes it."""
 
 
-class PalmFrame(NamedTuple):
-    """What the equations need of the palms at one instant; a tuple because it is unpacked 8000 times a second.
+class PalmLine(NamedTuple):
+    """One palm at one instant; SI, world.
 
-    Cosine and sine of both palms' directions (φ1, φ12), the directions of the body's outward normals at the contacts,
-    the palms' rates and accelerations, the hinge's position, velocity and acceleration, and the height of each palm's
-    plane over the hinge, on the object's side. SI, world.
+    Tangent t, outwards on palm 1 and inwards on palm 2, so that (−ty, tx) is the normal on the object's side. out:
+    direction of the body's outward normal at the contact. turn, alpha: rate and acceleration of the direction. above:
+    height of the palm's plane over the hinge, on the object's side.
     """
 
-    c1: float
-    s1: float
-    c12: float
-    s12: float
-    out1: float
-    out2: float
-    w1: float
-    w12: float
-    al1: float
-    al12: float
+    tx: float
+    ty: float
+    out: float
+    turn: float
+    alpha: float
+    above: float
+
+
+class PalmFrame(NamedTuple):
+    """What the equations need at one instant: both palms, and the hinge's position, velocity and acceleration."""
+
+    palms: tuple[PalmLine, PalmLine]
     ox: float
     oy: float
     vox: float
     voy: float
     aox: float
     aoy: float
-    above1: float
-    above2: float
-
-    def each(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """For each palm: its tangent (x, y), the normal's direction, rate, acceleration, and the plane's height."""
-        return (
-            (self.c1, self.s1, self.out1, self.w1, self.al1, self.above1),
-            (-self.c12, -self.s12, self.out2, self.w12, self.al12, self.above2),
-        )
 
 
+class ContactMotion(NamedTuple):
+    """A contact: the palm's tangent t, h and h′, and the motion of gap and slip without contact forces.
+
+    gap_acceleration: γ̈, slip_rate: derivative of the slip (m/s²), both with drift correction; slip: velocity of the
+    body's material along t relative to the palm's (m/s).
+    """
+
+    tx: float
+    ty: float
+    h: float
+    slope: float
+    gap_acceleration: float
+    slip_rate: float
+    slip: float
+
+
+class UnitForce(NamedTuple):
+    """Force and torque on the body of a unit normal force, with the friction proportional to it."""
+
+    fx: float
+    fy: float
+    torque: float
+
+
+BothContacts = tuple[ContactMotion | None, ContactMotion | None]
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
 _Planes = tuple[tuple[float, float], tuple[float, float]]  # of each palm: slope (rad), height over the hinge (m)
 _TABLE_HZ = (13.7, 24.1, 37.9)  # vibration of a lab's floor and machines, with equal amplitudes
 _FLAT: _Planes = ((0.0, 0.0), (0.0, 0.0))
+_NO_FORCE = UnitForce(0.0, 0.0, 0.0)
 
 
 def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
@@ -168,10 +187,9 @@ def palm_frame(hinge: Hinge, palms: PalmMotion, planes: _Planes = _FLAT) -> Palm
     phi1, phi12 = phi1 + slope1, phi1 + phi2 - slope2
     if slope1:
         c1, s1 = math.cos(phi1), math.sin(phi1)
-    return PalmFrame(
-        c1, s1, math.cos(phi12), math.sin(phi12), phi1 - 0.5 * math.pi, phi12 + 0.5 * math.pi,
-        w1, w1 + w2, a1, a1 + a2, ox, oy, vox, voy, aox, aoy, above1, above2,
-    )  # fmt: skip
+    one = PalmLine(c1, s1, phi1 - 0.5 * math.pi, w1, a1, above1)
+    two = PalmLine(-math.cos(phi12), -math.sin(phi12), phi12 + 0.5 * math.pi, w1 + w2, a1 + a2, above2)
+    return PalmFrame((one, two), ox, oy, vox, voy, aox, aoy)
 
 
 class PlantSettings(TypedDict, total=False):
@@ -209,8 +227,7 @@ class Plant:
         self.body = body
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
-        self._friction1, self._friction2 = 1.0 + imperfections.friction, 1.0 - imperfections.friction
-        self._frictions = self._friction1, self._friction2
+        self._frictions = 1.0 + imperfections.friction, 1.0 - imperfections.friction
         self._pads = imperfections.pads
         self._bowed = any(pad.sagitta for pad in self._pads)
         self._planes = self._planes_at([0.5 * length for length in reach], reach)
@@ -220,7 +237,7 @@ class Plant:
         self.reach = reach
         self.fallen = True
         self.state = BodyState(0.0, 0.0, 0.0)
-        self._on1 = self._on2 = False
+        self._on = [False, False]  # which contacts are closed
         self._frame = palm_frame(self.hinge, PalmMotion.at_rest((0.8, 1.6)))
         self._rates: _Rates = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -235,7 +252,7 @@ class Plant:
             self._update_tangent_planes()
         rate1, rate2 = self._gap_rates(frame, state)
         state.vx, state.vy = _cross_solve(frame, -rate1, -rate2)
-        self._on1 = self._on2 = True
+        self._on = [True, True]
         self.fallen = False
         self._settle_contacts()
 
@@ -251,14 +268,13 @@ class Plant:
     @property
     def touching(self) -> tuple[bool, bool]:
         """Whether the body touches palm 1, palm 2."""
-        return self._on1, self._on2
+        one, two = self._on
+        return one, two
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
         """Both present contacts; `touching` is False where there is a gap or the body has fallen."""
-        s1, s2 = self._distances()
-        _, _, _, f1, f2 = self._rates
-        mass = self.body.mass
-        return PlantContact(self._on1, s1, mass * f1), PlantContact(self._on2, s2, mass * f2)
+        one, two = map(PlantContact, self._on, self._distances(), self.least_forces)
+        return one, two
 
     @property
     def least_forces(self) -> tuple[float, float]:
@@ -268,19 +284,18 @@ class Plant:
 
     def contact_rates(self) -> tuple[float, float]:
         """Speeds of both contacts along the palms, away from the hinge (m/s)."""
-        q, at = self.state, self.body.support.at
-        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = self._frame
-        rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
-        h1pp, h2pp = at(out1 - q.psi)[2], at(out2 - q.psi)[2]
-        return (
-            c1 * ux + s1 * uy + w1 * (c1 * ry - s1 * rx) + h1pp * (w1 - q.omega0),
-            c12 * ux + s12 * uy - w12 * (s12 * rx - c12 * ry) - h2pp * (w12 - q.omega0),
+        q, frame, at = self.state, self._frame, self.body.support.at
+        rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
+        one, two = (
+            tx * ux + ty * uy + turn * (tx * ry - ty * rx) + at(out - q.psi)[2] * (turn - q.omega0)
+            for tx, ty, out, turn, _, _ in frame.palms
         )
+        return one, -two
 
     def radii(self) -> tuple[float, float]:
         """r1 and r2 (m): the support function at both contact normals."""
-        at, psi = self.body.support.at, self.state.psi
-        return at(self._frame.out1 - psi)[0], at(self._frame.out2 - psi)[0]
+        one, two = (self.body.support.at(palm.out - self.state.psi)[0] for palm in self._frame.palms)
+        return one, two
 
     def energy(self) -> float:
         """Kinetic and potential energy per unit mass (m²/s²)."""
@@ -293,7 +308,7 @@ class Plant:
     def take_away(self) -> None:
         """Remove the body from the palms until it is placed again."""
         self.fallen = True
-        self._on1 = self._on2 = False
+        self._on = [False, False]
         self._rates = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
@@ -306,9 +321,10 @@ class Plant:
 
     def _longest_step(self) -> float:
         """Longest Runge–Kutta step (s) at the body's present rate on the palms."""
-        frame, q, smooth_range = self._frame, self.state, self.body.support.room
-        one = smooth_range(frame.out1 - q.psi) / max(abs(frame.w1 - q.omega0), _MIN_RATE)
-        two = smooth_range(frame.out2 - q.psi) / max(abs(frame.w12 - q.omega0), _MIN_RATE)
+        q, smooth_range = self.state, self.body.support.room
+        one, two = (
+            smooth_range(palm.out - q.psi) / max(abs(palm.turn - q.omega0), _MIN_RATE) for palm in self._frame.palms
+        )
         return max(min(one, two), _MIN_STEP_S)
 
     def _step(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
@@ -323,23 +339,21 @@ class Plant:
 
     def _integrate(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """Integrate state and palms over dt, without changes of the contacts."""
-        q = self.state
-        x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
-        half, sixth = 0.5 * dt, dt / 6.0
+        q, half, sixth = self.state, 0.5 * dt, dt / 6.0
         mid, last = palm_frame(self.hinge, middle, self._planes), palm_frame(self.hinge, end, self._planes)
-        ax1, ay1, al1, _, _ = self._rates
-        vx2, vy2, w2 = vx + half * ax1, vy + half * ay1, w + half * al1
-        ax2, ay2, al2, _, _ = self._solve(mid, x + half * vx, y + half * vy, psi + half * w, vx2, vy2, w2)
-        vx3, vy3, w3 = vx + half * ax2, vy + half * ay2, w + half * al2
-        ax3, ay3, al3, _, _ = self._solve(mid, x + half * vx2, y + half * vy2, psi + half * w2, vx3, vy3, w3)
-        vx4, vy4, w4 = vx + dt * ax3, vy + dt * ay3, w + dt * al3
-        ax4, ay4, al4, _, _ = self._solve(last, x + dt * vx3, y + dt * vy3, psi + dt * w3, vx4, vy4, w4)
-        q.x = x + sixth * (vx + 2.0 * (vx2 + vx3) + vx4)
-        q.y = y + sixth * (vy + 2.0 * (vy2 + vy3) + vy4)
-        q.psi = psi + sixth * (w + 2.0 * (w2 + w3) + w4)
-        q.vx = vx + sixth * (ax1 + 2.0 * (ax2 + ax3) + ax4)
-        q.vy = vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
-        q.omega0 = w + sixth * (al1 + 2.0 * (al2 + al3) + al4)
+        ax1, ay1, al1, _, _ = rates1 = self._rates
+        q2 = _ahead(q, q, rates1, half)
+        ax2, ay2, al2, _, _ = rates2 = self._solve(mid, q2)
+        q3 = _ahead(q, q2, rates2, half)
+        ax3, ay3, al3, _, _ = rates3 = self._solve(mid, q3)
+        q4 = _ahead(q, q3, rates3, dt)
+        ax4, ay4, al4, _, _ = self._solve(last, q4)
+        q.x += sixth * (q.vx + 2.0 * (q2.vx + q3.vx) + q4.vx)
+        q.y += sixth * (q.vy + 2.0 * (q2.vy + q3.vy) + q4.vy)
+        q.psi += sixth * (q.omega0 + 2.0 * (q2.omega0 + q3.omega0) + q4.omega0)
+        q.vx += sixth * (ax1 + 2.0 * (ax2 + ax3) + ax4)
+        q.vy += sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
+        q.omega0 += sixth * (al1 + 2.0 * (al2 + al3) + al4)
         self._frame = last
 
     def _update_tangent_planes(self) -> None:
@@ -358,30 +372,28 @@ class Plant:
         """Make the contacts consistent with gaps and forces, and compute the accelerations for the next step."""
         self._close_gaps()
         rates = self._accelerations()
-        while (self._on1 and rates[3] < 0.0) or (self._on2 and rates[4] < 0.0):
-            if self._on1 and (rates[3] <= rates[4] or not self._on2):
-                self._on1 = False
-            else:
-                self._on2 = False
+        while (forces := {i: rates[3 + i] for i in (0, 1) if self._on[i]}) and min(forces.values()) < 0.0:
+            self._on[min(forces, key=forces.__getitem__)] = False
             rates = self._accelerations()
         self._rates = rates
         self._drop_if_off_the_palms()
 
     def _accelerations(self) -> _Rates:
-        q = self.state
-        return self._solve(self._frame, q.x, q.y, q.psi, q.vx, q.vy, q.omega0)
+        return self._solve(self._frame, self.state)
 
     def _close_gaps(self) -> None:
         """Turn each gap that has closed into a contact, with an inelastic impact."""
-        if self._on1 and self._on2:
+        if all(self._on):
             return
         q, frame = self.state, self._frame
-        gap1, gap2 = self._gaps(frame, q)
-        hit1, hit2 = not self._on1 and gap1 < 0.0, not self._on2 and gap2 < 0.0
-        if not (hit1 or hit2):
+        gaps = self._gaps(frame, q)
+        on = [was_on or gap < 0.0 for was_on, gap in zip(self._on, gaps, strict=True)]
+        if on == self._on:
             return
-        self._on1, self._on2 = self._on1 or hit1, self._on2 or hit2
-        dx, dy = self._displacement_for_gaps(frame, q, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
+        self._on = on
+        dx, dy = self._displacement_for_gaps(
+            frame, q, *(-gap if closed else 0.0 for gap, closed in zip(gaps, on, strict=True))
+        )
         q.x, q.y = q.x + dx, q.y + dy
         self._impact()
 
@@ -394,25 +406,27 @@ class Plant:
         a12 = n1x * n2x + n1y * n2y + d1 * d2 * j
         rate1, rate2 = self._gap_rates(frame, q)
         alone1, alone2 = max(-rate1 / a11, 0.0), max(-rate2 / a22, 0.0)
-        if not (self._on1 and self._on2):
-            p1, p2 = (alone1, 0.0) if self._on1 else (0.0, alone2)
+        if not all(self._on):
+            p1, p2 = (alone1, 0.0) if self._on[0] else (0.0, alone2)
         else:
-            det = a11 * a22 - a12 * a12
-            p1, p2 = (a12 * rate2 - a22 * rate1) / det, (a12 * rate1 - a11 * rate2) / det
+            p1, p2 = closing_forces(a11, a12, a12, a22, rate1, rate2)
             if min(p1, p2) < 0.0 and min(rate1, rate2) < -_SOFT_IMPACT:
                 # one of the two would have to pull: it opens, and the other takes the whole impact
                 p1, p2 = (alone1, 0.0) if p2 < p1 else (0.0, alone2)
         q.vx += p1 * n1x + p2 * n2x
         q.vy += p1 * n1y + p2 * n2y
         q.omega0 += (p1 * d1 + p2 * d2) * j
-        rate1, rate2 = self._gap_rates(frame, q)
-        self._on1, self._on2 = self._on1 and rate1 <= _SEPARATION_SPEED, self._on2 and rate2 <= _SEPARATION_SPEED
+        rates = self._gap_rates(frame, q)
+        self._on = [on and rate <= _SEPARATION_SPEED for on, rate in zip(self._on, rates, strict=True)]
 
     def _distances(self) -> tuple[float, float]:
         return _contact_distances(self.body, self._frame, self.state)
 
     def _gaps(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-        return _gaps(self.body, frame, q)
+        """Clearances to palm 1 and palm 2 (m), negative when overlapping."""
+        rx, ry, at = q.x - frame.ox, q.y - frame.oy, self.body.support.at
+        one, two = (tx * ry - ty * rx - at(out - q.psi)[0] - above for tx, ty, out, _, _, above in frame.palms)
+        return one, two
 
     def _displacement_for_gaps(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
         """The displacement (m) by which gap 1 grows by `a` and gap 2 by `b` (m)."""
@@ -421,87 +435,79 @@ class Plant:
 
     def _levers(self, frame: PalmFrame, q: BodyState) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """The palms' normals at the contacts, and the lever arm of a force along each."""
-        (n1x, n1y), (n2x, n2y) = _normals(frame)
-        at, psi = self.body.support.at, q.psi
-        return (n1x, n1y, at(frame.out1 - psi)[1]), (n2x, n2y, at(frame.out2 - psi)[1])
+        one, two = ((-palm.ty, palm.tx, self.body.support.at(palm.out - q.psi)[1]) for palm in frame.palms)
+        return one, two
 
     def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-        c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = frame
-        rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
-        _, h1_slope, _ = self.body.support.at(out1 - q.psi)
-        _, h2_slope, _ = self.body.support.at(out2 - q.psi)
-        rate1 = c1 * uy - s1 * ux - w1 * (c1 * rx + s1 * ry) - h1_slope * (w1 - q.omega0)
-        rate2 = s12 * ux - c12 * uy + w12 * (c12 * rx + s12 * ry) - h2_slope * (w12 - q.omega0)
-        return rate1, rate2
+        rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
+        one, two = (
+            tx * uy - ty * ux - turn * (tx * rx + ty * ry) - self.body.support.at(out - q.psi)[1] * (turn - q.omega0)
+            for tx, ty, out, turn, _, _ in frame.palms
+        )
+        return one, two
 
     def _drop_if_off_the_palms(self) -> None:
         q, frame = self.state, self._frame
-        s1, s2 = self._distances()
-        off1 = self._on1 and not 0.0 < s1 < self.reach[0]
-        off2 = self._on2 and not 0.0 < s2 < self.reach[1]
-        if off1 or off2 or math.hypot(q.x - frame.ox, q.y - frame.oy) > _FALLEN_DISTANCE:
+        each = zip(self._on, self._distances(), self.reach, strict=True)
+        is_off = any(on and not 0.0 < s < reach for on, s, reach in each)
+        if is_off or math.hypot(q.x - frame.ox, q.y - frame.oy) > _FALLEN_DISTANCE:
             self.take_away()
 
-    def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
+    # -- equations ----------------------------------------------------------------------------------------
+
+    def _solve(self, frame: PalmFrame, q: BodyState) -> _Rates:
         """Accelerations of the COM and of ψ, and both contact forces per unit mass, for the present contacts.
 
         The gaps' second derivatives are linear in the forces, γ̈ = A·f + b, and are required to be zero up to the
         drift correction; friction enters A because it is proportional to the normal force.
         """
-        c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy, above1, above2 = frame
-        g = self._gravity_now()
         rho2 = self.body.rho**2
-        surface = self.surface
-        damping = -surface.damping * w / rho2
-        on1, on2 = self._on1, self._on2
-        f1 = f2 = 0.0
-        rx, ry, ux, uy = x - ox, y - oy, vx - vox, vy - voy
-        gx, gy = -aox, -g - aoy
-        at = self.body.support.at
-        if on1:
-            h1, h1p, h1pp = at(out1 - psi)
-            along = c1 * rx + s1 * ry
-            normal = c1 * ry - s1 * rx
-            spin = w1 - w
-            rate = c1 * uy - s1 * ux - w1 * along - h1p * spin
-            b1 = (
-                c1 * gy - s1 * gx - 2.0 * w1 * (c1 * ux + s1 * uy) - al1 * along - w1 * w1 * normal
-                - h1pp * spin * spin - h1p * (al1 - damping)
-                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h1 - above1))
-            )  # fmt: skip
-            # slip of the body's material along t1 relative to the palm's, at the contact x1 = −h·n1 + h′·t1
-            k1 = self._friction1 * self._friction(c1 * ux + s1 * uy + w * h1 + w1 * (normal - h1))
-            f1x, f1y = -s1 - k1 * c1, c1 - k1 * s1
-            m1 = h1p - k1 * h1
-        if on2:
-            h2, h2p, h2pp = at(out2 - psi)
-            along = c12 * rx + s12 * ry
-            normal = s12 * rx - c12 * ry
-            spin = w12 - w
-            rate = s12 * ux - c12 * uy + w12 * along - h2p * spin
-            b2 = (
-                s12 * gx - c12 * gy + 2.0 * w12 * (c12 * ux + s12 * uy) + al12 * along - w12 * w12 * normal
-                - h2pp * spin * spin - h2p * (al12 - damping)
-                + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (normal - h2 - above2))
-            )  # fmt: skip
-            k2 = self._friction2 * self._friction(-c12 * ux - s12 * uy + w * h2 + w12 * (normal - h2))
-            f2x, f2y = s12 + k2 * c12, -c12 + k2 * s12
-            m2 = h2p - k2 * h2
-        ax, ay, al = 0.0, -g, damping
-        if on1 and on2:
-            a11, a22 = 1.0 + h1p * m1 / rho2, 1.0 + h2p * m2 / rho2
-            a12 = c1 * f2y - s1 * f2x + h1p * m2 / rho2
-            a21 = s12 * f1x - c12 * f1y + h2p * m1 / rho2
-            det = a11 * a22 - a12 * a21
-            f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
-            return f1 * f1x + f2 * f2x, ay + f1 * f1y + f2 * f2y, al + (f1 * m1 + f2 * m2) / rho2, f1, f2
-        if on1:
-            f1 = -b1 / (1.0 + h1p * m1 / rho2)
-            ax, ay, al = f1 * f1x, ay + f1 * f1y, al + f1 * m1 / rho2
-        elif on2:
-            f2 = -b2 / (1.0 + h2p * m2 / rho2)
-            ax, ay, al = f2 * f2x, ay + f2 * f2y, al + f2 * m2 / rho2
-        return ax, ay, al, f1, f2
+        contacts = self._contacts_at(frame, q)
+        first, second = (
+            unit_force(at, friction * self._friction(at.slip)) if at else _NO_FORCE
+            for at, friction in zip(contacts, self._frictions, strict=True)
+        )
+        one, two = contacts
+        a11, a12, b1 = 1.0, 0.0, 0.0
+        if one:
+            a11, a12, b1 = 1.0 + one.slope * first.torque / rho2, gap_response(one, second, rho2), one.gap_acceleration
+        a21, a22, b2 = 0.0, 1.0, 0.0
+        if two:
+            a21, a22, b2 = gap_response(two, first, rho2), 1.0 + two.slope * second.torque / rho2, two.gap_acceleration
+        f1, f2 = closing_forces(a11, a12, a21, a22, b1, b2)
+        return (
+            f1 * first.fx + f2 * second.fx,
+            -self._gravity_now() + f1 * first.fy + f2 * second.fy,
+            -self.surface.damping * q.omega0 / rho2 + (f1 * first.torque + f2 * second.torque) / rho2,
+            f1,
+            f2,
+        )
+
+    def _contacts_at(self, frame: PalmFrame, q: BodyState) -> BothContacts:
+        one, two = (
+            self._contact(frame, q, palm) if on else None for on, palm in zip(self._on, frame.palms, strict=True)
+        )
+        return one, two
+
+    def _contact(self, frame: PalmFrame, q: BodyState, palm: PalmLine) -> ContactMotion:
+        tx, ty, out, turn, alpha, above = palm
+        rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
+        gx, gy, w = -frame.aox, -self._gravity_now() - frame.aoy, q.omega0
+        damping = -self.surface.damping * w / self.body.rho**2
+        h, slope, bend = self.body.support.at(out - q.psi)
+        spin, along, over = turn - w, tx * rx + ty * ry, tx * ry - ty * rx
+        tangential, normal_speed = tx * ux + ty * uy, tx * uy - ty * ux
+        # slip of the body's material relative to the palm's, at the contact x = −h·n + h′·t
+        rate, slip = normal_speed - turn * along - slope * spin, tangential + w * h + turn * (over - h)
+        gap_acceleration = (
+            tx * gy - ty * gx - 2.0 * turn * tangential - alpha * along - turn * turn * over - bend * spin * spin
+            - slope * (alpha - damping) + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (over - h - above))
+        )  # fmt: skip
+        slip_rate = (
+            tx * gx + ty * gy + turn * normal_speed + w * slope * spin + h * damping + alpha * (over - h)
+            + turn * rate + _DRIFT_RATE * slip
+        )  # fmt: skip
+        return ContactMotion(tx, ty, h, slope, gap_acceleration, slip_rate, slip)
 
     def _gravity_now(self) -> float:
         if not self._table_amplitude:
@@ -529,43 +535,53 @@ def _extrapolated_back(end: PalmMotion, by: float) -> PalmMotion:
     return PalmMotion(angles, rates, accelerations)
 
 
-def _normals(frame: PalmFrame) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The palms' normals into the space between them, n1 and n2."""
-    return (-frame.s1, frame.c1), (frame.s12, -frame.c12)
+def _ahead(q: BodyState, by: BodyState, rates: _Rates, dt: float) -> BodyState:
+    """The state dt seconds after q, by the velocities of `by` and these accelerations."""
+    ax, ay, alpha, _, _ = rates
+    return BodyState(
+        q.x + dt * by.vx,
+        q.y + dt * by.vy,
+        q.psi + dt * by.omega0,
+        q.vx + dt * ax,
+        q.vy + dt * ay,
+        q.omega0 + dt * alpha,
+    )
+
+
+def unit_force(at: ContactMotion, ratio: float) -> UnitForce:
+    """The effect of a unit normal force with friction `ratio` times as large against t."""
+    return UnitForce(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
+
+
+def gap_response(at: ContactMotion, by: UnitForce, rho2: float) -> float:
+    """The acceleration of a contact's gap due to a force on the body."""
+    return at.tx * by.fy - at.ty * by.fx + at.slope * by.torque / rho2
+
+
+def closing_forces(a11: float, a12: float, a21: float, a22: float, b1: float, b2: float) -> tuple[float, float]:
+    """The forces f for which A·f + b = 0."""
+    det = a11 * a22 - a12 * a21
+    return (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
 
 
 def _cross_solve(frame: PalmFrame, a: float, b: float) -> tuple[float, float]:
     """The vector p with n1·p = a and n2·p = b."""
-    c1, s1, c12, s12 = frame.c1, frame.s1, frame.c12, frame.s12
-    sin_phi2 = c1 * s12 - s1 * c12
-    return (a * c12 + b * c1) / sin_phi2, (a * s12 + b * s1) / sin_phi2
+    one, two = frame.palms
+    sin_phi2 = one.ty * two.tx - one.tx * two.ty
+    return (b * one.tx - a * two.tx) / sin_phi2, (b * one.ty - a * two.ty) / sin_phi2
 
 
 def _com_in_contact(body: Body, frame: PalmFrame, psi: float) -> tuple[float, float]:
     """Position of the COM when the body touches both palms at angle psi."""
-    one, two = body.support.at(frame.out1 - psi)[0], body.support.at(frame.out2 - psi)[0]
-    x, y = _cross_solve(frame, one + frame.above1, two + frame.above2)
+    x, y = _cross_solve(frame, *(body.support.at(palm.out - psi)[0] + palm.above for palm in frame.palms))
     return frame.ox + x, frame.oy + y
-
-
-def _gaps(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-    """Clearances to palm 1 and palm 2 (m), negative when overlapping."""
-    c1, s1, c12, s12, out1, out2 = frame[:6]
-    rx, ry = q.x - frame.ox, q.y - frame.oy
-    return (
-        c1 * ry - s1 * rx - body.support.at(out1 - q.psi)[0] - frame.above1,
-        s12 * rx - c12 * ry - body.support.at(out2 - q.psi)[0] - frame.above2,
-    )
 
 
 def _contact_distances(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
     """Distance from the hinge, along each palm, of the body's nearest point (m)."""
-    c1, s1, c12, s12, out1, out2 = frame[:6]
     rx, ry = q.x - frame.ox, q.y - frame.oy
-    return (
-        c1 * rx + s1 * ry + body.support.at(out1 - q.psi)[1],
-        c12 * rx + s12 * ry - body.support.at(out2 - q.psi)[1],
-    )
+    one, two = (palm.tx * rx + palm.ty * ry + body.support.at(palm.out - q.psi)[1] for palm in frame.palms)
+    return one, -two
 
 
 def stable_poses(body: Body, palms: PalmMotion) -> list[float]:
@@ -585,10 +601,10 @@ def stable_poses(body: Body, palms: PalmMotion) -> list[float]:
 
 def _lowest(body: Body, frame: PalmFrame, psi: float, width: float) -> float:
     """The height's minimum within ±width of psi, where dy/dψ = −(h1′ sin φ12 + h2′ sin φ1)/sin φ2 is zero."""
-    s1, s12, out1, out2 = frame.s1, frame.s12, frame.out1, frame.out2
+    at, (one, two) = body.support.at, frame.palms
     low, high = psi - width, psi + width
     for _ in range(50):
         middle = 0.5 * (low + high)
-        slope = -(body.support.at(out1 - middle)[1] * s12 + body.support.at(out2 - middle)[1] * s1)
+        slope = at(one.out - middle)[1] * two.ty - at(two.out - middle)[1] * one.ty
         low, high = (middle, high) if slope < 0.0 else (low, middle)
     return (0.5 * (low + high)) % math.tau

@@ -14,7 +14,7 @@ from itertools import product
 from typing import Any
 
 from palmd.rig.curved_plant import CurvedPlant
-from palmd.rig.plant import FrictionSurface, Hinge, PalmFrame, Plant, _Rates
+from palmd.rig.plant import BodyState, FrictionSurface, Hinge, PalmFrame, Plant, _Rates
 from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import Body
 from palmd.system.vibration import Relation
@@ -56,16 +56,14 @@ class SignPairsPlant(Plant):
     """As `Plant`, on flat palms that vibrate as `shaking` describes."""
 
     def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, shaking: Shaking, **others: Any) -> None:
-        """See `Plant`."""
         self._shaking = shaking
         self._slips: list[float] | None = None
         self._signs: list[float] = []
         super().__init__(body, hinge, surface, **others)
 
-    def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
-        arguments = frame, x, y, psi, vx, vy, w
+    def _solve(self, frame: PalmFrame, q: BodyState) -> _Rates:
         self._slips = []
-        frictionless = super()._solve(*arguments)
+        frictionless = super()._solve(frame, q)
         slips, self._slips = self._slips, None
         if not slips or self.surface.mu == 0.0:
             return frictionless
@@ -73,11 +71,11 @@ class SignPairsPlant(Plant):
         solved: dict[Signs, _Rates] = {}
         for signs in product((1.0, -1.0), repeat=len(slips)):
             self._signs = list(reversed(signs))
-            solved[signs] = super()._solve(*arguments)
+            solved[signs] = super()._solve(frame, q)
         speeds = [self._shaking.palms[i].speed for i in on]
         forward = [forward_share(u, speed) for u, speed in zip(slips, speeds, strict=True)]
         for _ in range(_RIPPLE_STEPS):
-            ripples = self._ripples(frame, psi, on, solved, forward)
+            ripples = self._ripples(frame, q.psi, on, solved, forward)
             forward = [forward_share(*each) for each in zip(slips, speeds, ripples, strict=True)]
         mean = [0.0] * len(frictionless)
         for signs, share in shares(forward, self._shaking.relation):
@@ -127,8 +125,8 @@ class SignPairsPlant(Plant):
 
     def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:
         """t at the contact, and the lever arm of a force along it."""
-        tx, ty, out, *_ = frame.each()[palm]
-        return tx, ty, self.body.support.at(out - psi)[0]
+        line = frame.palms[palm]
+        return line.tx, line.ty, self.body.support.at(line.out - psi)[0]
 
     def _friction(self, slip: float) -> float:
         """Tangential over normal force; called for palm 1 before palm 2."""

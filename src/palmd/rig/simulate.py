@@ -290,12 +290,12 @@ def simulate_run(
     return smoothed(run) if isinstance(plant, VibratingPlant) else run  # only a resolved vibration has a ripple
 
 
-def smoothed(history: FloatArray, window_s: float = _SMOOTHING_S) -> FloatArray:
+def smoothed(history: FloatArray) -> FloatArray:
     """A run's rows with ω0 and both forces averaged over the vibration, with a Hann window about each row.
 
     This is what a slow force sensor reads, and the body's slow motion. Rows without a body (NaN) are unchanged.
     """
-    half = round(0.5 * window_s / STEP_S)
+    half = round(0.5 * _SMOOTHING_S / STEP_S)
     weights = np.hanning(2 * half + 3)[1:-1]
     result = history.copy()
     for column in map(_COLUMNS.index, ("omega0_rad_s", "f1_n", "f2_n")):

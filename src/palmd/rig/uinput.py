@@ -58,7 +58,6 @@ class UinputLine(EmulatedLine):
         self._link_to(device)
 
     def unplug(self) -> None:
-        """Remove the device even if the host has it open; does nothing if it does not exist."""
         if self._fd is None:
             return
         self.path.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple
 from functools import cache
 from pathlib import Path
@@ -150,18 +150,18 @@ class VibratingPlant(CurvedPlant):
         self._turning = MeanTurning(shaking.period_s)
         self._t_touched = [-math.inf] * _CONTACTS
         super().__init__(body, hinge, surface, curvatures, **others)
-        self._memory, self._scene = _Body(), self._compiled_scene()
+        self._memory, self._table = _Body(), np.array(body.support.table)
+        self._scene = self._compiled_scene()
 
     # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         super().place(palms, psi, omega0)
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
         self._t_touched = [self._t] * _CONTACTS
         self._turning.reset(self._t, q.psi, q.omega0)
-        self._scene.place(self._memory, palms)
+        _library().vibrating_plant_place(*self._addresses(), _packed_palms(palms))
         self._copy_state()
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
@@ -174,11 +174,9 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def least_forces(self) -> tuple[float, float]:
-        """See `Plant`."""
         return self.body.mass * self._memory.least[0], self.body.mass * self._memory.least[1]
 
     def radii(self) -> tuple[float, float]:
-        """r1 and r2 (m): the support function at both contact normals."""
         return self._memory.r[0], self._memory.r[1]
 
     @property
@@ -192,7 +190,6 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple of the vibration."""
         return self._turning.rate
 
     @property
@@ -208,12 +205,11 @@ class VibratingPlant(CurvedPlant):
     # -- time steps ---------------------------------------------------------------------------------------
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """Advance by dt seconds; `middle` and `end` are the palms half-way and at the end."""
         self._t += dt
         self._frame = palm_frame(self.hinge, end)
         if self.fallen:
             return
-        self._scene.advance(self._memory, middle, end, dt)
+        _library().vibrating_plant_advance(*self._addresses(), _packed_palms(middle), _packed_palms(end), dt)
         self._turning.take(self._t, self._memory.psi)
         for i in range(_CONTACTS):
             if self._memory.on[i] or self._memory.force[i] > 0.0:
@@ -225,7 +221,16 @@ class VibratingPlant(CurvedPlant):
 
         They end where a contact violates its bounds.
         """
-        return self._scene.rock(self._memory, drive, bounds, dt, count)
+        rows, rests = np.empty((count, _ROW)), [np.array(rock[4], np.float64).reshape(-1, 2) for rock in drive.rocks]
+        rocks = [_Rock(*rock[:4], own.ctypes.data, len(own)) for rock, own in zip(drive.rocks, rests, strict=True)]
+        rocking = ctypes.byref(_Rocking(tuple(rocks), tuple(drive.angle_errors), drive.lag))
+        within = ctypes.byref(_ContactBounds(*bounds))
+        row_count = _library().vibrating_plant_rock(*self._addresses(), rocking, within, dt, rows.ctypes.data, count)
+        return rows[:row_count]
+
+    def _addresses(self) -> tuple[ctypes._CArgObject, ctypes._CArgObject]:
+        """Of the constant parameters and of the state."""
+        return ctypes.byref(self._scene), ctypes.byref(self._memory)
 
     def _copy_state(self) -> None:
         """Copy the compiled plant's state into the attributes that this class inherits."""
@@ -236,71 +241,38 @@ class VibratingPlant(CurvedPlant):
         self.fallen = m.fallen != 0.0
 
     def take_away(self) -> None:
-        """Remove the body from the palms until it is placed again."""
         super().take_away()
         self._memory = _Body(fallen=1.0)
 
-    def _compiled_scene(self) -> _CompiledScene:
+    def _compiled_scene(self) -> _VibratingScene:
+        """The constant parameters in the form of `vibrating_plant.c`."""
         shakers, (mode, travel, base) = self.shaking.palms, astuple(self.hinge)
         palms = [self._palm(i) for i in range(_CONTACTS)]
         steps = [1.0 / (STEPS_PER_PERIOD * each.frequency) for each in shakers]
-        steps += [math.tau / math.sqrt(palm["stiffness"]) / _STEPS_PER_RESONANCE for palm in palms if palm["yielding"]]
-        numbers = {
-            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity,
-            "shake": self._table_amplitude, "shaking_hz": _TABLE_HZ, "travel": travel, "base": base,
-            "drift_rate": _DRIFT_RATE, "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED,
-            "lost_distance": _FALLEN_DISTANCE, "longest_step": min(steps), "force_lag": FORCE_LAG_S,
-            "arc": mode == "arc",
-        }  # fmt: skip
-        support = self.body.support
-        assert isinstance(support, Support), "`__init__` checks it"
-        return _CompiledScene(support, numbers, palms)
+        steps += [math.tau / math.sqrt(palm.stiffness) / _STEPS_PER_RESONANCE for palm in palms if palm.yielding]
+        return _VibratingScene(
+            table=self._table.ctypes.data, rho2=self.body.rho**2, damping=self.surface.damping, gravity=self.gravity,
+            shake=self._table_amplitude, shaking_hz=_TABLE_HZ, travel=travel, base=base, drift_rate=_DRIFT_RATE,
+            soft_blow=_SOFT_IMPACT, parting=_SEPARATION_SPEED, lost_distance=_FALLEN_DISTANCE, longest_step=min(steps),
+            force_lag=FORCE_LAG_S, palms=tuple(palms), arc=mode == "arc",
+        )  # fmt: skip
 
-    def _palm(self, i: int) -> dict[str, float]:
+    def _palm(self, i: int) -> _Palm:
         shaker = self.shaking.palms[i]
         mount, mass = shaker.mount, shaker.mount.mass
-        return {
-            "curvature": self._kappa[i], "slope": self._slopes[i], "standoff": self._standoffs[i],
-            "reach": self.reach[i], "mu": self.surface.mu * self._frictions[i],
-            "frequency": shaker.frequency, "speed": shaker.speed, "phase": shaker.phase,
-            "second": shaker.second, "third": shaker.third, "inwards": SLIP_SIGNS[i],
-            "yielding": self.body.mass / mass,
-            "stiffness": 0.0 if math.isinf(mass) else mount.stiffness / mass,
-            "damping": mount.damping / mass,
-        }  # fmt: skip
-
-
-class _CompiledScene:
-    """The constant parameters in the form of `vibrating_plant.c`, and its functions. Copies own their memory."""
-
-    def __init__(self, support: Support, numbers: Mapping[str, Any], palms: Sequence[Mapping[str, float]]) -> None:
-        self._arguments = support, numbers, palms
-        self._library, self._table = _library(), np.array(support.table)
-        self._scene = _VibratingScene(
-            table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
-        )
-        self._scene_address = ctypes.byref(self._scene)
-
-    def place(self, body: _Body, palms: PalmMotion) -> None:
-        self._library.vibrating_plant_place(self._scene_address, ctypes.byref(body), _packed_palms(palms))
-
-    def advance(self, body: _Body, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        self._library.vibrating_plant_advance(
-            self._scene_address, ctypes.byref(body), _packed_palms(middle), _packed_palms(end), dt
-        )
-
-    def rock(self, body: _Body, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
-        rows, rests = np.empty((count, _ROW)), [np.array(rock[4], np.float64).reshape(-1, 2) for rock in drive.rocks]
-        rocks = [_Rock(*rock[:4], own.ctypes.data, len(own)) for rock, own in zip(drive.rocks, rests, strict=True)]
-        rocking = _Rocking(tuple(rocks), tuple(drive.angle_errors), drive.lag)
-        row_count = self._library.vibrating_plant_rock(
-            self._scene_address, ctypes.byref(body), ctypes.byref(rocking), ctypes.byref(_ContactBounds(*bounds)), dt,
-            rows.ctypes.data, count,
+        return _Palm(
+            curvature=self._kappa[i], slope=self._slopes[i], standoff=self._standoffs[i], reach=self.reach[i],
+            mu=self.surface.mu * self._frictions[i], frequency=shaker.frequency, speed=shaker.speed, phase=shaker.phase,
+            second=shaker.second, third=shaker.third, inwards=SLIP_SIGNS[i], yielding=self.body.mass / mass,
+            stiffness=0.0 if math.isinf(mass) else mount.stiffness / mass, damping=mount.damping / mass,
         )  # fmt: skip
-        return rows[:row_count]
 
-    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return _CompiledScene, self._arguments
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_scene"}  # it points to this one's table
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._scene = self._compiled_scene()
 
 
 def _packed_palms(motion: PalmMotion) -> ctypes._CArgObject:

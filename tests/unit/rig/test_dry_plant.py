@@ -38,9 +38,9 @@ def test_the_sticking_contact_rolls_along_the_outline_while_the_other_slips():
         if plant.sticking() != (True, False):
             continue
         stuck += 1
-        frame, q = plant._frame, plant.state
-        h, _, bend = plant.body.support.at(frame.out1 - q.psi)
-        gone += plant.contact_rates()[0] * STEP, (h + bend) * (frame.w1 - q.omega0) * STEP
+        palm, q = plant._frame.palms[0], plant.state
+        h, _, bend = plant.body.support.at(palm.out - q.psi)
+        gone += plant.contact_rates()[0] * STEP, (h + bend) * (palm.turn - q.omega0) * STEP
         slipped += abs(plant.slips()[1]) * STEP
         one, two = (contact.force for contact in plant.contacts())
         assert plant._ratios[1] == math.copysign(DRY.mu, plant.slips()[1])
@@ -68,7 +68,7 @@ def test_a_block_slides_from_the_angle_of_static_friction_on(steeper_deg, slides
 
     def spun(psi):
         plant.place(palms, psi)
-        plant._on2 = False
+        plant._on[1] = False
         return abs(plant._accelerations()[2])
 
     spun(min(np.linspace(slope - 1e-3, slope + 1e-3, 201), key=spun))  # at rest on its side, not rocking on it

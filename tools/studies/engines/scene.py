@@ -210,13 +210,14 @@ def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
     t = np.arange(len(simulated.x)) * STEP_S
     motions = [scene.palms_at(float(each)) for each in t]
     frames = [palm_frame(scene.run.hinge, palms) for palms in motions]
-    c1, s1, c12, s12, out1, out2 = np.array([frame[:6] for frame in frames]).T
+    lines = np.array([[palm[:3] for palm in frame.palms] for frame in frames])
+    (tx1, tx2), (ty1, ty2), (out1, out2) = lines.T
     ox, oy = np.array([(frame.ox, frame.oy) for frame in frames]).T
     rx, ry, support = simulated.x - ox, simulated.y - oy, simulated.body.support
     theta1, theta2 = out1 - simulated.psi, out2 - simulated.psi
     r1, r2 = support.sample(theta1), support.sample(theta2)
-    contact1 = c1 * rx + s1 * ry + support.sample(theta1, 1)
-    contact2 = c12 * rx + s12 * ry - support.sample(theta2, 1)
+    contact1 = tx1 * rx + ty1 * ry + support.sample(theta1, 1)
+    contact2 = -(tx2 * rx + ty2 * ry + support.sample(theta2, 1))
     angles = np.array([palms.angles for palms in motions]).T
     rows = np.array([
         t, simulated.psi, simulated.omega0, r1, r2, contact1, contact2, *angles, simulated.f1, simulated.f2

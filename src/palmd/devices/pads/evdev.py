@@ -39,7 +39,6 @@ class Evdev(PadDriver):
     """`PadDriver` of one input device."""
 
     def __init__(self, number: int, config: EvdevConfig) -> None:
-        """Create the driver; nothing is opened yet."""
         super().__init__(number, HEALTH_LIMITS)
         self._config = config
         self._touching = False
@@ -52,7 +51,6 @@ class Evdev(PadDriver):
 
     @property
     def touching(self) -> bool:
-        """See `PadDriver`."""
         return self._touching
 
     @property
@@ -71,7 +69,6 @@ class Evdev(PadDriver):
         return None
 
     def port(self) -> EvdevPort:
-        """The input device."""
         self._port = EvdevPort(f"pad{self._number}", self._config.port, axis=self._config.axis)
         return self._port
 
@@ -100,7 +97,6 @@ class Evdev(PadDriver):
             self._state_reports += self._reader.restore(state)
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """See `PadDriver`."""
         dropped = self._reader.counters.dropped
         reports = self._reader.feed(data, t)
         if self._reader.counters.dropped > dropped and not reports:
@@ -156,7 +152,6 @@ class Evdev(PadDriver):
         return f"{last}; then the device was lost, or the kernel dropped its events"
 
     def counts(self) -> dict[str, int]:
-        """See `PadDriver`."""
         return self._reader.counters.as_dict()
 
     def _calibrated(self, report: PadReport) -> PadSample | None:

@@ -12,7 +12,6 @@ class Strip(SerialPad[StripPacket, StripCounters]):
     """`PadDriver` of one strip, whose firmware sends reports unasked."""
 
     def __init__(self, number: int, config: StripConfig) -> None:
-        """Create the driver; nothing is opened yet."""
         decoder = StripDecoder(config.baud)
         super().__init__(number, config, config.baud, decoder, decoder.counters, TOUCHED_S)
 

@@ -17,7 +17,6 @@ class Taxels(SerialPad[TaxelReport, TaxelCounters]):
     """`PadDriver` of one array; an array that does not send frames unasked is polled."""
 
     def __init__(self, number: int, config: TaxelsConfig) -> None:
-        """Create the driver; nothing is opened yet."""
         self._taxels = decoder = TaxelDecoder(config)
         super().__init__(number, config, config.line_baud, decoder, decoder.counters, config.report_s)
         self._config = config

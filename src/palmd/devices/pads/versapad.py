@@ -21,7 +21,6 @@ class VersaPad(SerialPad[PadPacket, PadCounters]):
     """`PadDriver` of one VersaPad. `in_break`: the start-up requests that the line be in break."""
 
     def __init__(self, number: int, config: VersaPadConfig) -> None:
-        """Create the driver; nothing is opened yet."""
         pressure = PressureFormat(**config.pressure.model_dump())
         self._versapad = decoder = VersaPadDecoder(config.baud, pressure)
         # at its highest rate the pad sends packets without pauses

@@ -7,7 +7,6 @@ from palmd.devices import evdev
 from palmd.devices.evdev import EvdevReader, Record
 from palmd.rig.pads import CountingPad, EmulatorFactory
 
-REPORT_S, JITTER_S = 0.010, 0.001
 PRESSURE_MAX = 255
 POSITION_LIMIT = 1 << 15
 FULL_REPORT_EVERY = 50
@@ -20,13 +19,13 @@ class EvdevEmulator(CountingPad):
 
     _config: EvdevConfig
     _range, _full_scale = (-POSITION_LIMIT, POSITION_LIMIT), PRESSURE_MAX
+    _report_s, _jitter_s = 0.010, 0.001
     baud = None
 
     def _begin(self, t: float) -> None:  # noqa: ARG002
         self._reported: dict[int, int] = {}
 
     def make_decoder(self) -> EvdevReader:
-        """A new decoder of its records."""
         return EvdevReader()
 
     def greeting(self) -> list[tuple[bytes, float]]:
@@ -38,12 +37,6 @@ class EvdevEmulator(CountingPad):
         """SYN_DROPPED; the next report then contains all values, as after opening."""
         self._reported.clear()
         return self._frame([(evdev.EV_SYN, evdev.SYN_DROPPED, 0)], t)
-
-    def _interval(self) -> float:
-        return REPORT_S + float(self._rng.normal(0.0, JITTER_S))
-
-    def _min_interval(self) -> float:
-        return REPORT_S - 5 * JITTER_S
 
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:
         x, y = (counts, across) if self._config.axis == "x" else (across, counts)

@@ -6,33 +6,24 @@ from palmd.config.pads import StripConfig
 from palmd.devices.strip import FORCE_MAX, POSITION_MAX, TOUCHED_S, UNTOUCHED_S, StripDecoder, encode
 from palmd.rig.pads import CountingPad, EmulatorFactory
 
-JITTER_S = 1e-4
-
 
 class StripEmulator(CountingPad):
     """A strip: reports at a constant rate, more slowly while it is not touched; noise as configured."""
 
     _config: StripConfig
     _range, _full_scale = (0, POSITION_MAX), FORCE_MAX
+    _report_s, _jitter_s = TOUCHED_S, 1e-4
     _sequence = 0
 
     @property
     def baud(self) -> int:
-        """Baud rate of its line."""
         return self._config.baud
 
     def _begin(self, t: float) -> None:
         self._t_idle_report = t
 
     def make_decoder(self) -> StripDecoder:
-        """A new decoder of its packets."""
         return StripDecoder(self.baud)
-
-    def _interval(self) -> float:
-        return TOUCHED_S + float(self._rng.normal(0.0, JITTER_S))
-
-    def _min_interval(self) -> float:
-        return TOUCHED_S - 5 * JITTER_S
 
     def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
         return self._packet(counts, pressure, touched=True)

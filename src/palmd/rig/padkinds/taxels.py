@@ -17,7 +17,6 @@ from palmd.devices.taxels import TaxelDecoder, modbus_crc, modbus_frame, tsf85_f
 from palmd.events import FloatArray
 from palmd.rig.pads import EmulatorFactory, PadEmulator, Press
 
-JITTER_S = 2e-4
 ANSWER_S = 2e-4  # from the end of the request to the start of the answer
 WIDTH_SD = 0.15  # standard deviation of the width's logarithm between arrays
 WIDTH_EXPONENT = 1.0 / 6.0  # exponent of the force with which the width of a contact grows
@@ -28,21 +27,21 @@ class TaxelEmulator(PadEmulator):
     """A taxel array with noise as configured, which speaks the configured protocol."""
 
     _config: TaxelsConfig
+    _jitter_s = 2e-4
 
     @property
     def baud(self) -> int:
-        """Baud rate of its line."""
         return self._config.line_baud
 
     def _begin(self, t: float) -> None:  # noqa: ARG002
         config, rng = self._config, self._rng
+        self._report_s = config.report_s
         self._protocol = _PROTOCOLS[config.protocol](config)
         self._width_mm = config.contact_width_mm * math.exp(WIDTH_SD * float(rng.standard_normal()))
         self._gains = 1.0 + config.taxel_gain_sd * rng.standard_normal((config.rows, config.columns))
         self.due = self._protocol.due(self.due, 0.0)
 
     def make_decoder(self) -> TaxelDecoder:
-        """A new decoder of its frames."""
         return TaxelDecoder(self._config)
 
     def receive(self, data: bytes, t: float) -> None:
@@ -51,8 +50,10 @@ class TaxelEmulator(PadEmulator):
             self.due = t + ANSWER_S
 
     def _interval(self) -> float:
-        wait_s = self._config.report_s + float(self._rng.normal(0.0, JITTER_S))
-        return self._protocol.due(self.due, wait_s) - self.due
+        return self._protocol.due(self.due, super()._interval()) - self.due
+
+    def _min_interval(self) -> float:
+        return 0.0
 
     def _contact_report(self, t: float, contacts: list[Press]) -> bytes:
         array = np.zeros_like(self._gains)

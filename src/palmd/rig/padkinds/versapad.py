@@ -38,7 +38,6 @@ class VersaPadEmulator(CountingPad):
 
     @property
     def baud(self) -> int:
-        """Baud rate of its line."""
         return self._config.baud
 
     @property
@@ -57,7 +56,6 @@ class VersaPadEmulator(CountingPad):
         return [(_IDENTITY, (number + 1) * _IDENTITY_S) for number in range(breaks)]
 
     def make_decoder(self) -> VersaPadDecoder:
-        """A new decoder of its packets."""
         return VersaPadDecoder(self.baud)
 
     def _interval(self) -> float:

@@ -89,14 +89,12 @@ class EmulatedServo(ServoShaft):
             self._stop(t)
 
     def restart(self, t: float, silent_s: float = REBOOT_S) -> None:
-        """Restart as after `reboot` or a loss of power: RAM is reset, and it does not answer for `silent_s`."""
         stored = (entry.register for entry in servotable.ENTRIES if entry.register.address < dxl.EEPROM_END)
         self._start({register: self.get(register) for register in stored})
         self._stop(t)
         self._t_ready = t + silent_s
 
     def is_listening(self, baud_code: int, t: float) -> bool:
-        """Whether it receives and answers on a bus of this speed."""
         return super().is_listening(baud_code, t) and self.get(servotable.PROTOCOL) == 2
 
     def answers(self, instruction: int) -> bool:
@@ -164,7 +162,6 @@ class DynamixelArm(ServoArm[EmulatedServo]):
         super().__init__(config, arm, servos, packet_reader(arm.baud), rng, t)
 
     def make_decoder(self) -> PacketReader:
-        """A new decoder of its answers."""
         return packet_reader(self.baud)
 
     # -- the bus ------------------------------------------------------------------------------------------

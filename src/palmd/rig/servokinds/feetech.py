@@ -173,7 +173,6 @@ class FeetechArm(ServoArm[FeetechServo]):
         super().__init__(config, arm, servos, packet_reader(arm.baud, answers=False), rng, t)
 
     def make_decoder(self) -> PacketReader:
-        """A new decoder of its answers."""
         return packet_reader(self.baud)
 
     def _execute(self, packet: Packet, t: float) -> list[Transmission]:

@@ -19,7 +19,7 @@ from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.imperfections import PadImperfection
 from palmd.rig.padkinds.versapad import VersaPadEmulator
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
@@ -62,15 +62,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
 
     topics = (PALM3_TRUTH, PALM3_BODY)
 
-    def __init__(
-        self,
-        config: ThreePalmsConfig,
-        seed: int,
-        *,
-        kind: Kind = "rig",
-        pad_options: PadOptions = GOOD_PADS,
-        t: float = 0.0,
-    ) -> None:
+    def __init__(self, config: ThreePalmsConfig, seed: int, *, kind: Kind = "rig", t: float = 0.0) -> None:
         """The palms at rest with a random body at rest on them; the rig is exactly as configured."""
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = 0
@@ -78,7 +70,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         home = tuple(REST_POSE.tolist())
         arm = TiltArm(config, home, rng, step_s=STEP_S)
         pads = {
-            f"pad{number}": PlanePadEmulator(pad, pad_options, _EXACT.reading_error_m, rng, t)
+            f"pad{number}": PlanePadEmulator(pad, GOOD_PADS, _EXACT.reading_error_m, rng, t)
             for number, pad in zip(PALMS, config.pads.planes, strict=True)
         }
         super().__init__(pads, arm, rng, t)
@@ -86,9 +78,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         self._side = config.pads.palm1.length_mm * 1e-3
         self._joints = arm.joints(t)
         self._palms = TurningPalms(self._joints)
-        self._readings = self._previous_readings = (
-            _NO_READINGS  # a and b of each pad, at `_t_readings` and a step before
-        )
+        self._readings = self._previous_readings = _NO_READINGS  # a and b, at `_t_readings` and a step before
         self._t_readings = t
         self._t_return = -math.inf
         self._lifted = False
