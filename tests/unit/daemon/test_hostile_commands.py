@@ -81,7 +81,7 @@ def armed(plan=None):
     return bench.go(0.1)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(st.lists(commands, max_size=40), st.sampled_from([(0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]))
 def test_no_command_changes_or_exceeds_the_limits(sent, push):
     bench = armed()
@@ -89,7 +89,7 @@ def test_no_command_changes_or_exceeds_the_limits(sent, push):
     for command, args in sent:
         send(bench, command, args)
     bench.ask("arm")
-    for _ in range(80):  # until the limit
+    for _ in range(60):  # until the limit
         send(bench, "jog", dict(zip(("phi1_deg", "phi2_deg"), push, strict=True)))
     bench.check_the_arm()
     assert bench.core.setpoints.limits is limits
