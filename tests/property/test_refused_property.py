@@ -101,32 +101,28 @@ def ready():
     return bench
 
 
-def armed():
-    bench = ready()
-    assert bench.ask("arm") is None
-    bench.go(20)
+def after(before, name, ticks, **args):
+    """A granted command, and so many ticks."""
+    bench = before()
+    assert bench.ask(name, **args) is None
+    bench.go(ticks)
     return bench
+
+
+def armed():
+    return after(ready, "arm", 20)
 
 
 def running():
-    bench = armed()
-    assert bench.ask("start") is None
-    bench.go(90)
-    return bench
+    return after(armed, "start", 90)
 
 
 def held():
-    bench = running()
-    assert bench.ask("hold") is None
-    bench.go(60)
-    return bench
+    return after(running, "hold", 60)
 
 
 def jogged():
-    bench = armed()
-    assert bench.ask("jog", phi1_deg=0.4) is None
-    bench.go(3)
-    return bench
+    return after(armed, "jog", 3, phi1_deg=0.4)
 
 
 def at_a_limit():
@@ -138,28 +134,28 @@ def at_a_limit():
     return bench
 
 
-def lifted():
+def disturbed(fault, ticks, **how):
     bench = running()
-    bench.play("lift")
-    bench.go(60)
+    bench.play(fault, **how)
+    bench.go(ticks)
+    return bench
+
+
+def lifted():
+    bench = disturbed("lift", 60)
     assert str(bench.core.state) == "hold"
     return bench
 
 
 def stopped():
-    bench = running()
-    bench.play("estop")
-    bench.go(60)
+    bench = disturbed("estop", 60)
     assert str(bench.core.state) == "fault"
     return bench
 
 
 def late():
     """The arm does not answer; the motion is frozen."""
-    bench = running()
-    bench.play("late", port="arm", strength=0.15)
-    bench.go(12)
-    return bench
+    return disturbed("late", 12, port="arm", strength=0.15)
 
 
 def ending():

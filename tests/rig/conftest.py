@@ -74,12 +74,6 @@ def bench(tmp_path_factory):
 
 
 @pytest.fixture
-def own_bench(tmp_path):
-    """A daemon on a rig for one test alone."""
-    yield from _bench(tmp_path)
-
-
-@pytest.fixture
 def light_bench(tmp_path):
     """A bench with the cheapest observer, for tests that do not depend on it."""
     yield from _bench(tmp_path, **LEAST_WORK)

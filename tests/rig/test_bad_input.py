@@ -83,17 +83,9 @@ def test_swapped_pads_are_reported(start, tmp_path):
     assert bench.heard.latest["palm/estimate"]["valid"] is False
 
 
-@pytest.mark.parametrize(
-    ("text", "what", "by_name"),
-    [
-        (FAR, ":4:", ":4:"),
-        pytest.param("segments:\n\t- {}\n", ":2:1:", ": is not a motion plan", marks=pytest.mark.nightly),
-        pytest.param("", ":1:1:", ": is not a motion plan", marks=pytest.mark.nightly),
-    ],
-)
-def test_an_invalid_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
+def test_an_invalid_plan_is_refused_and_changes_nothing(bench):
     path = bench.folder / "bad.yaml"
-    path.write_text(text)
+    path.write_text(FAR)
     bench.run_plan()
     bench.client.do("hold")
     bench.until_state("hold")
@@ -101,10 +93,10 @@ def test_an_invalid_plan_is_refused_and_changes_nothing(bench, text, what, by_na
     before, stood = bench.client.do("status"), bench.truth()
     refused = bench.client.ask("plan", path="bad.yaml")
     assert refused["ok"] is False
-    assert f"bad.yaml{by_name}" in refused["error"]
+    assert "bad.yaml:4:" in refused["error"]
     done = palmd("ctl", "plan", path, "--take", "--address", bench.bus.command)
     assert done.returncode == 1
-    assert f"{path}{what}" in done.stderr
+    assert f"{path}:4:" in done.stderr
     after, stands = bench.client.do("status"), bench.truth()
     assert [after[key] for key in UNCHANGED] == [before[key] for key in UNCHANGED]
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3

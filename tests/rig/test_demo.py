@@ -38,6 +38,7 @@ class Demo:
 
     def __init__(self, folder, here, *arguments):
         self._mark, self._folder, self.here = f"PALMD_TEST={uuid.uuid4()}", folder, here
+        self._said = ""
         name, value = self._mark.split("=")
         self.process = subprocess.Popen(
             [sys.executable, "-m", "palmd", "demo", "--no-browser", *arguments],
@@ -48,6 +49,7 @@ class Demo:
     def wait_for(self, text):
         """Waits until a line of standard error contains the text."""
         for line in self.process.stderr:
+            self._said += line
             if text in line:
                 return
         raise AssertionError(f"it ended without {text!r}")
@@ -55,10 +57,10 @@ class Demo:
     def end(self):
         """Status and output after it has ended; checks that nothing is left."""
         out, err = self.process.communicate(timeout=60)
-        assert "Traceback" not in err
+        assert "Traceback" not in self._said + err
         assert self.processes() == {}
         assert list(self._folder.iterdir()) == []
-        return self.process.returncode, out, err
+        return self.process.returncode, out, self._said + err
 
     def processes(self):
         """Its living processes: command line by number."""
@@ -101,13 +103,12 @@ def busy_defaults():
 
 
 @pytest.mark.usefixtures("busy_defaults")
-def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
-    begun = time.monotonic()
-    running = demo("--seconds", "8", "--seed", "3")
+def test_it_runs_beside_busy_ports_and_ends_on_request_with_a_summary(demo):
+    running = demo("--seed", "3")
+    running.wait_for(" mm  rho ")
+    running.process.send_signal(signal.SIGINT)
     status, out, err = running.end()
-    settled = bool(SUMMARY.fullmatch(out))  # may not happen in time on a busy machine
-    assert status == (0 if settled else 3), out + err
-    assert settled or "shape observer never settled" in out
+    assert (status, bool(SUMMARY.fullmatch(out))) == (0, True), out + err
     assert "palmd top --address tcp://127.0.0.1:" in err
     assert re.search(r" \d s  tracking", err), err  # unchanged status is not repeated within 10 s
     (path,) = (running.here / "runs").iterdir()
@@ -118,20 +119,10 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     assert {"palm/events", "palm/estimate", "rig/truth", "rig/object"} <= set(survey)
     assert all(found.missing == 0 for found in survey.values())
     assert survey["palm/estimate"].first == 0
-    assert time.monotonic() - begun > 8.0
     check = subprocess.run(
         [sys.executable, "-m", "palmd", "replay", str(path), "--check"], capture_output=True, text=True
     )
     assert check.returncode == 0, check.stdout + check.stderr  # the replay repeats the live estimates bit for bit
-
-
-def test_it_ends_with_success_on_request_once_valid(demo):
-    running = demo("--seed", "3")
-    running.wait_for(" mm  rho ")
-    running.process.send_signal(signal.SIGINT)
-    status, out, err = running.end()
-    assert (status, bool(SUMMARY.fullmatch(out))) == (0, True), out + err
-    assert list(running.here.iterdir())
 
 
 def test_it_ends_early_without_an_estimate_and_records_only_on_request(demo):
@@ -174,10 +165,12 @@ def test_invalid_configurations_are_reported_with_their_exit_status(demo, tmp_pa
     assert "none.yaml" in err
 
 
-def test_mujoco_moves_the_object(demo):
+def test_mujoco_moves_the_object_until_the_demo_ends_by_itself(demo):
     pytest.importorskip("mujoco", reason="mujoco is not installed: the extra `mujoco` has it")
+    begun = time.monotonic()
     running = demo("--physics", "mujoco", "--seconds", "4", "--seed", "2", "--no-record")
     status, out, err = running.end()
+    assert time.monotonic() - begun > 4.0
     assert status in (0, 3), out + err  # depends on processor time
     assert out.startswith("palmd demo: seed 2, "), err
     assert "rig with residual calibration errors in MuJoCo" in out

@@ -1,4 +1,4 @@
-"""The study faults in short form: a pad, the controller, an address and another process, with real processes.
+"""The study faults in short form: a pad, an address and another process, with real processes.
 
 `palmd why` is asked about the recordings.
 """
@@ -10,7 +10,7 @@ from harness import run_study
 
 pytestmark = pytest.mark.rig
 
-ADEPT = ("pad1-mute", "controller-estop", "address-taken", "page-killed")
+ADEPT = ("pad1-mute", "address-taken", "page-killed")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, PHONE, Page, browser
+from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, Page, browser
 from harness import Process, wait
 
 pytestmark = pytest.mark.rig
@@ -51,11 +51,21 @@ def driver():
         yield one
 
 
+@pytest.fixture(scope="module")
+def started():
+    """All demos so far."""
+    demos = []
+    yield demos
+    for each in demos:
+        each.stop()
+
+
 @pytest.fixture
-def demo(tmp_path):
-    process = Process(["demo", "--no-browser", "--no-record", "--seed", "3"], tmp_path)
-    yield process
-    process.stop()
+def demo(started, tmp_path):
+    """The demo of the test before, if that has not ended it."""
+    if not (started and started[-1].alive):
+        started.append(Process(["demo", "--no-browser", "--no-record", "--seed", "3"], tmp_path))
+    return started[-1]
 
 
 @pytest.fixture
@@ -130,20 +140,6 @@ def unless_disturbed(page, story):
         except DisturbedError:
             continue
     raise AssertionError(f"disturbed {ATTEMPTS} times: {page.text('grave')}")
-
-
-def test_a_phone_shows_everything_and_may_watch_without_the_token(page):
-    page.resize(*PHONE)
-    page.script("sessionStorage.clear()")
-    page.open(token=False)
-    page.until(lambda: not page.shows("stale"), "anything")
-    page.until(lambda: "Read-only" in page.text("authority"), "what it may do")
-    assert page.enabled() == set()
-    assert page.script("return document.documentElement.scrollWidth") == PHONE[0]
-    assert page.script(
-        "return [...document.querySelectorAll('canvas')].every((c) => c.getBoundingClientRect().right <= 375)"
-    )
-    assert page.errors() == []
 
 
 def test_it_reports_a_lost_daemon_within_a_second(page, demo):

@@ -23,7 +23,7 @@ from tools.wheel import build_wheel, collect
 
 pytestmark = pytest.mark.rig
 
-DEMO_S = 8.0
+DEMO_S = 4.0
 
 
 def kernels_of_the_demo(folder):
@@ -54,5 +54,5 @@ def test_doctor_and_demo(tmp_path):
     command = installed(wheel, tmp_path / "venv")
     demo = run_without_compiler(command, tmp_path, DEMO_S)
     assert demo.stdout.startswith("palmd demo: seed 3")
-    assert demo.returncode in (0, RIG_FAILED), "on a busy machine eight seconds may be too few to converge"
+    assert demo.returncode in (0, RIG_FAILED), "four seconds may be too few to converge"
     assert not list(tmp_path.rglob(".cache/**/*.so")), "nothing was compiled"

@@ -23,6 +23,8 @@ def free_addresses():
 
 SLOW = {"docs/operate/reports.md"}
 """Pages whose commands take long and have tests of their own."""
+FASTER = {r"(palmd replay \S+)( --publish \S+)?$": r"\1\2 --speed 20"}
+"""Replays that end by themselves, at the recorded pace on the page."""
 PAGES = [
     pytest.param(page, marks=pytest.mark.nightly) if page in SLOW else page
     for page in docreader.pages(with_a_daemon=False)
@@ -36,7 +38,7 @@ def test_blocks_of(page, tmp_path):
     reader = docreader.Reader(tmp_path, rig_recording.path(), config)
     for block in docreader.blocks_of(page, with_a_daemon=False):
         beside, _ = free_addresses()
-        reader.run(block, free_addresses(), None, {"tcp://127.0.0.1:9999": beside})
+        reader.run(block, free_addresses(), None, FASTER | {"tcp://127.0.0.1:9999": beside})
 
 
 def test_every_block_has_a_kind_and_a_reason_if_it_is_not_run():

@@ -70,7 +70,7 @@ def test_a_frictionless_log_of_an_engine_is_reconstructed_correctly():
 @pytest.mark.parametrize("kind", ENGINE_KINDS)
 def test_a_log_states_how_the_palms_vibrate(kind):
     pytest.importorskip("pymunk")
-    lines, truth = engine_log(study.engine_called("chipmunk"), kind, 3, 0.05, "calibrated")
+    lines, truth = engine_log(study.engine_called("chipmunk"), kind, 3, 0.02, "calibrated")
     with written(lines) as path:
         log = read_log(path)
     assert log.rig.vibration.relation == {"vibrating": "independent", "slick": "independent", "dry": "none"}.get(

@@ -189,10 +189,6 @@ def test_all_slopes_are_checked_before_the_first_motion(path, capsys):
     assert [round(math.degrees(each.at(each.duration).angles[0])) for each in ends] == [8, 26, 41, 59]
 
 
-def test_a_missing_daemon_is_reported(path, capsys):
-    assert "is a palmd running there" in refused(path, capsys, 3)
-
-
 def test_a_daemon_with_another_configuration_is_refused(path, capsys):
     daemon = Daemon(path, hash="0" * 64)
     with serving(path, daemon):

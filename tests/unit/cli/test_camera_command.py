@@ -3,29 +3,16 @@
 import json
 import math
 
-import numpy as np
+import filmed_run
 import pytest
+from filmed_run import CAMERA
 
 from palmd.cli import main
-from palmd.rig.simulate import simulate_log
-from tools.camera import Camera, as_csv, filmed
-
-CAMERA = Camera()
-SECONDS = 6.0
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A run's log, its truth, its reconstruction, and a camera's track of it."""
-    path = tmp_path_factory.mktemp("run")
-    lines, truth = simulate_log("rig", 3, SECONDS)
-    (path / "run.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    (path / "truth.json").write_text(json.dumps(truth))
-    length = lines[0]["rig"]["hinge"]["palm1_length_m"]
-    table = filmed(truth, length, CAMERA, np.random.default_rng(0))
-    (path / "track.csv").write_text(as_csv(table))
-    assert main(["reconstruct", str(path / "run.jsonl"), "-o", str(path / "result.json")]) == 0
-    return path
+@pytest.fixture
+def folder():
+    return filmed_run.made()[0]
 
 
 def files(folder, *names):

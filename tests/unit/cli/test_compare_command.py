@@ -5,30 +5,23 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import filmed_run
 import numpy as np
 import pytest
+from filmed_run import CAMERA
 
 from palmd.cli import main
-from palmd.rig.simulate import simulate_log
-from tools.camera import Camera, as_csv, filmed
-
-CAMERA = Camera()
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder() -> Path:
     """A reconstruction, a camera's track of the run as CSV and, of another camera, in the TUM format."""
-    path = tmp_path_factory.mktemp("run")
-    lines, truth = simulate_log("rig", 3, 6.0)
-    (path / "run.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    table = filmed(truth, lines[0]["rig"]["hinge"]["palm1_length_m"], CAMERA, np.random.default_rng(0))
-    (path / "track.csv").write_text(as_csv(table))
+    path, table = filmed_run.made()
     half = np.radians(table["object_angle_deg"]) / 2
     columns = [table["t_s"] + 5.0, table["object_x_mm"] / 1e3, table["object_y_mm"] / 1e3, 0 * half, 0 * half,
                0 * half, np.sin(half), np.cos(half)]  # fmt: skip
     rows = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in np.stack(columns, axis=1))
     (path / "track.tum").write_text(f"# time x y z qx qy qz qw\n{rows}\n")
-    assert main(["reconstruct", str(path / "run.jsonl"), "-o", str(path / "result.json")]) == 0
     return path
 
 

@@ -1132,7 +1132,7 @@ def swung(client, lease_s=None):
 def test_after_an_operators_hold_no_other_client_moves_the_rig():
     bench = swung("a")
     rng = random.Random(5)
-    for _ in range(10):
+    for _ in range(4):
         bench.go(rng.uniform(0.1, 0.6))
         assert sent(bench, "hold", "a").error is None
         bench.go(rng.uniform(0.0, 0.8))
@@ -1157,7 +1157,7 @@ def test_after_an_operators_hold_no_other_client_moves_the_rig():
 
 def test_an_expired_lease_holds_the_motion():
     bench, rng, worst = swung("a", 1.0), random.Random(6), 0.0
-    for _ in range(10):
+    for _ in range(4):
         for _ in range(rng.randrange(4)):
             bench.go(rng.uniform(0.1, 0.7))
             assert sent(bench, "alive", "a").error is None

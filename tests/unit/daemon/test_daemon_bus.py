@@ -61,22 +61,17 @@ def call(**message):
     return msgpack.packb(message)
 
 
-def test_a_req_client_gets_its_answer(rig):
-    client = rig.client(zmq.REQ, rig.command)
-    client.send(call(id=1, cmd="status"))
-    (request,) = rig.received()
-    assert request.name == "status"
-    rig.bus.reply(Reply(request, None, {"state": "idle"}))
-    assert msgpack.unpackb(client.recv()) == {"id": 1, "ok": True, "result": {"state": "idle"}}
-
-
-def test_a_dealer_client_gets_its_answer_in_one_frame(rig):
-    client = rig.client(zmq.DEALER, rig.command)
-    client.send(call(id="x", cmd="arm"))
-    (request,) = rig.received()
-    rig.bus.reply(Reply(request, "arm refused: no"))
-    (frame,) = client.recv_multipart()
-    assert msgpack.unpackb(frame) == {"id": "x", "ok": False, "error": "arm refused: no"}
+@pytest.mark.parametrize("kind", [zmq.REQ, zmq.DEALER])
+def test_a_client_gets_its_answers_in_one_frame(rig, kind):
+    client = rig.client(kind, rig.command)
+    for ident, error, result in ((1, None, {"result": {"state": "idle"}}), ("x", "arm refused: no", {})):
+        client.send(call(id=ident, cmd="arm"))
+        (request,) = rig.received()
+        assert request.name == "arm"
+        rig.bus.reply(Reply(request, error, result.get("result")))
+        (frame,) = client.recv_multipart()
+        refusal = {} if error is None else {"error": error}
+        assert msgpack.unpackb(frame) == {"id": ident, "ok": error is None} | result | refusal
 
 
 def test_a_client_is_named_by_what_it_sends_or_by_its_address(rig):

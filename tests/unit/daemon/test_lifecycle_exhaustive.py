@@ -12,7 +12,7 @@ from palmd.harness.rules import Rules
 
 pytestmark = pytest.mark.timeout(3600)  # a busy machine needs long for half a million ticks
 
-FEW = ("arm", "start", "stop", "reset", "hold")
+FEW = ("arm", "start", "stop", "reset")
 
 
 @dataclass

@@ -70,7 +70,7 @@ def rigid():
 
 @pytest.fixture(scope="module")
 def slide():
-    return Lived(load_any_config(ROOT / "config/slide.yaml"), seed=3, period_s=4.0, longest_s=40.0, after_s=1.0)
+    return Lived(load_any_config(ROOT / "config/slide.yaml"), seed=3, period_s=6.0, longest_s=40.0, after_s=1.0)
 
 
 @pytest.fixture(params=["rigid", "slide"])
@@ -106,49 +106,47 @@ def test_the_outline_agrees_with_the_truth_within_its_sd(lived):
     assert score.touched > covered
 
 
-def test_the_same_readings_give_bit_identical_estimates(lived):
-    answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in lived.published("palm/pivot_answer")}
-    assert any(answer.accepted for answer in answers.values())
+class Recorded:
+    """A smoother that has answered before."""
 
-    class Recorded:
-        def submit(self, t, events):
-            pass
+    def __init__(self, lived):
+        published = lived.published("palm/pivot_answer")
+        self.answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in published}
 
-        def collect(self, t):
-            return answers.get(t)
+    def submit(self, t, events):
+        pass
 
-    again = pivot_observer(pivot_rig(lived.config), Recorded())
+    def collect(self, t):
+        return self.answers.get(t)
+
+
+def replayed(lived, smoother):
+    """Each tick, and the estimate that an observer with this smoother gives in it."""
+    observer = pivot_observer(pivot_rig(lived.config), smoother)
     for tick in lived.ticks:
         fed = tick.messages["palm/pivot_events"]
         for event in says.events_of(fed):
-            again.feed(event)
-        again.improve(fed["t_tick_s"])
-        now = says.estimate_fields(again.estimate(fed["t_tick_s"]))
+            observer.feed(event)
+        observer.improve(fed["t_tick_s"])
+        yield tick, observer.estimate(fed["t_tick_s"])
+
+
+def test_the_same_readings_give_bit_identical_estimates(lived):
+    smoother = Recorded(lived)
+    assert any(answer.accepted for answer in smoother.answers.values())
+    for tick, estimate in replayed(lived, smoother):
+        now = says.estimate_fields(estimate)
         assert msgpack.packb(now) == msgpack.packb(dict(tick.messages["palm/pivot"]))
 
 
 def test_an_answer_that_comes_too_late_leaves_the_outline_in_use(slide, monkeypatch):
     monkeypatch.setattr(rolling, "PAST_S", 4.0)
-    answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in slide.published("palm/pivot_answer")}
+    smoother = Recorded(slide)
+    answers = smoother.answers
     accepted = [answer for answer in answers.values() if answer.accepted]
     late = slide.ticks[-50].messages["palm/pivot_events"]["t_tick_s"]
     answers[late] = replace(accepted[-1], t=late - 5.0)
-
-    class Late:
-        def submit(self, t, events):
-            pass
-
-        def collect(self, t):
-            return answers.get(t)
-
-    observer = pivot_observer(pivot_rig(slide.config), Late())
-    valid = []
-    for tick in slide.ticks:
-        fed = tick.messages["palm/pivot_events"]
-        for event in says.events_of(fed):
-            observer.feed(event)
-        observer.improve(fed["t_tick_s"])
-        valid.append(observer.estimate(fed["t_tick_s"]).valid)
+    valid = [estimate.valid for _, estimate in replayed(slide, smoother)]
     assert valid[-100]
     assert all(valid[-50:])
 

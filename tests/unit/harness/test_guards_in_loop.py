@@ -6,6 +6,7 @@ from functools import cache
 
 import pytest
 import yaml
+from campaign import nightly
 
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.rig.fault_injection import order
@@ -22,6 +23,9 @@ PLAN = PlanSpec.model_validate(
 ADEPT = default_config()
 PALM_M = 0.12
 AFTER_S = (3.3, 4.1, 4.9)
+FAULTY = [("adept", t) for t in AFTER_S] + [("dynamixel", AFTER_S[1]), ("feetech", AFTER_S[1])]
+FAULTY += nightly(*((servo, t) for servo in ("dynamixel", "feetech") for t in (AFTER_S[0], AFTER_S[2])))
+"""Rigs and times of a fault (s)."""
 
 
 def servos(kind):
@@ -84,8 +88,7 @@ def travel(loop, seconds):
     return max(math.dist(places[0], each) for each in places)
 
 
-@pytest.mark.parametrize("rig", RIGS)
-@pytest.mark.parametrize("after_s", AFTER_S)
+@pytest.mark.parametrize(("rig", "after_s"), FAULTY)
 def test_a_blocked_arm_is_stopped_and_does_not_jump_when_released(rig, after_s):
     loop = started(rig, after_s=after_s)
     codes, after, text = provoked(loop, "block", seconds=2.0)
@@ -98,17 +101,16 @@ def test_a_blocked_arm_is_stopped_and_does_not_jump_when_released(rig, after_s):
     assert "following-error" in {fault.code for fault in loop.core.faults.active}
 
 
-@pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.nightly)])
-def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed):
+@pytest.mark.parametrize(("seed", "seconds"), [(7, 8.0), *nightly((7, 20.0), (8, 20.0))])
+def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed, seconds):
     loop = started("feetech", seed=seed, after_s=0.0)
-    for _ in loop.run(20.0):
+    for _ in loop.run(seconds):
         assert not {fault.code for fault in loop.core.faults.active if fault.severity in ("hold", "stop")}
     errors = loop.core.arm.guards.following.errors
     assert all(map(math.isfinite, errors))
 
 
-@pytest.mark.parametrize("rig", RIGS)
-@pytest.mark.parametrize("after_s", AFTER_S)
+@pytest.mark.parametrize(("rig", "after_s"), FAULTY)
 def test_a_frozen_encoder_is_reported_and_the_arm_stops(rig, after_s):
     loop = started(rig, after_s=after_s)
     codes, after, _ = provoked(loop, "freeze")

@@ -164,32 +164,32 @@ def test_the_suggested_shortest_duration_is_accepted() -> None:
         refused(HOME_MOVE, {"move": {"phi1_deg": target}, "duration_s": shortest - 0.02})
 
 
-def test_all_errors_are_reported_together_for_the_segments_that_cause_them() -> None:
-    lines = refused(
-        HOME_MOVE,
-        {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 81}},
-        {"rate": {"phi2_deg_s": 20}, "until": {"phi2_deg": 100}},
-        {"hold_s": 5.0},
-        {"move": {"phi1_deg": 45, "phi2_deg": 30}, "duration_s": 3},
-    )
-    assert lines == [
-        "segments.2: phi12 = phi1 + phi2 reaches 181°, it must stay below 172°",
-        "segments.4: phi2 falls to 30°, the limit is 35°",
-    ]
-
-
-def test_direct_violations_are_named_before_derived_ones() -> None:
-    assert refused(HOME_MOVE, {"move": {"phi1_deg": 40, "phi2_deg": 160}, "duration_s": 9}) == [
-        "segments.1: phi2 reaches 160°, the limit is 155°",
-        "segments.1: phi12 = phi1 + phi2 reaches 200°, it must stay below 172°",
-    ]
-
-
-def test_a_first_pose_outside_the_limits_is_refused() -> None:
-    assert refused({"move": {"phi1_deg": 160, "phi2_deg": 10}, "duration_s": 2}, {"hold_s": 1.0}) == [
-        "segments.0: phi1 reaches 160°, the limit is 150°",
-        "segments.0: phi2 falls to 10°, the limit is 35°",
-    ]
+@pytest.mark.parametrize(
+    ("segments", "lines"),
+    [
+        (
+            [
+                HOME_MOVE,
+                {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 81}},
+                {"rate": {"phi2_deg_s": 20}, "until": {"phi2_deg": 100}},
+                {"hold_s": 5.0},
+                {"move": {"phi1_deg": 45, "phi2_deg": 30}, "duration_s": 3},
+            ],
+            ["2: phi12 = phi1 + phi2 reaches 181°, it must stay below 172°", "4: phi2 falls to 30°, the limit is 35°"],
+        ),
+        (
+            [HOME_MOVE, {"move": {"phi1_deg": 40, "phi2_deg": 160}, "duration_s": 9}],
+            ["1: phi2 reaches 160°, the limit is 155°", "1: phi12 = phi1 + phi2 reaches 200°, it must stay below 172°"],
+        ),
+        (
+            [{"move": {"phi1_deg": 160, "phi2_deg": 10}, "duration_s": 2}, {"hold_s": 1.0}],
+            ["0: phi1 reaches 160°, the limit is 150°", "0: phi2 falls to 10°, the limit is 35°"],
+        ),
+    ],
+    ids=["each at its segment", "direct before derived", "the first pose"],
+)
+def test_all_errors_are_reported_together(segments: list[dict[str, Any]], lines: list[str]) -> None:
+    assert refused(*segments) == [f"segments.{line}" for line in lines]
 
 
 def test_the_way_back_of_a_repetition_is_checked() -> None:

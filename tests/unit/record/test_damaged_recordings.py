@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import recorded
+from campaign import nightly
 from damaged import chunks, damage, intact_messages
 from damaged import pack as pack_small
 from mcap.opcode import Opcode
@@ -22,7 +23,6 @@ from palmd.record.run import read_any_run
 from palmd.record.runfile import pack
 from palmd.rig.world import default_config
 
-DAMAGES = 200
 READ = 0.95  # share of the messages in intact chunks
 
 
@@ -40,12 +40,13 @@ def unfinished(tmp_path_factory, packed):
     return recorded.written(path, read_messages(packed), read_layout(packed).preface, finish=False)
 
 
-def test_every_intact_chunk_is_read_whatever_the_damage(packed):
+@pytest.mark.parametrize(("seed", "damages"), [(54, 60), *nightly((55, 200))])
+def test_every_intact_chunk_is_read_whatever_the_damage(packed, seed, damages):
     whole = packed.read_bytes()
-    parts, chance = chunks(whole), random.Random(54)
+    parts, chance = chunks(whole), random.Random(seed)
     assert len(parts) > 15
     notices = 0
-    for number in range(DAMAGES):
+    for number in range(damages):
         data, kept = damage(whole, chance)
         layout = layout_of(data)
         messages = [] if layout is None else list(messages_of(data, layout))
@@ -59,7 +60,7 @@ def test_every_intact_chunk_is_read_whatever_the_damage(packed):
             said = layout is None or layout.damage.damaged or not layout.finished
             assert said, f"{number}: {lost} messages lost without a message"
             notices += 1
-    assert notices > DAMAGES // 4
+    assert notices > damages // 4
 
 
 def test_an_unfinished_file_gives_its_intact_messages(unfinished):

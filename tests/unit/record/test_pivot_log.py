@@ -25,14 +25,27 @@ def written(path, lines):
     return path
 
 
-@pytest.fixture(scope="module", params=["tilt", "float"])
-def run(request, tmp_path_factory):
+def reconstructed(kind, folder):
     """A log, its truth, and the result of the command."""
-    folder = tmp_path_factory.mktemp(request.param)
-    lines, truth = simulate_pivot_log(request.param, 3)
+    lines, truth = simulate_pivot_log(kind, 3)
     log, out = written(folder / "log.jsonl", lines), folder / "out.json"
     assert main(["reconstruct", str(log), "-o", str(out)]) == 0
     return log, truth, json.loads(out.read_text())
+
+
+@pytest.fixture(scope="module")
+def tilt(tmp_path_factory):
+    return reconstructed("tilt", tmp_path_factory.mktemp("tilt"))
+
+
+@pytest.fixture(scope="module")
+def float_(tmp_path_factory):
+    return reconstructed("float", tmp_path_factory.mktemp("float"))
+
+
+@pytest.fixture(params=["tilt", "float_"])
+def run(request):
+    return request.getfixturevalue(request.param)
 
 
 def test_the_result_has_the_documented_fields_and_agrees_with_the_truth(run):
@@ -64,8 +77,8 @@ def test_only_a_slide_determines_the_mass(run):
     assert (np.abs(np.array(result["com_from_pivot_m"]) + truth["pivot_m"]) < 4 * sd + 1e-4).all()
 
 
-def test_the_library_agrees_with_the_command(run):
-    log, _, result = run
+def test_the_library_agrees_with_the_command(tilt):
+    log, _, result = tilt
     answer = palmd.reconstruct(log)
     assert (answer.system, answer.converged) == ("pivot", True)
     assert answer.results["hP_m"] == result["hP_m"]
@@ -74,8 +87,8 @@ def test_the_library_agrees_with_the_command(run):
         answer.outline_xy()
 
 
-def test_estimates_of_a_log_are_those_of_the_daemon(run, tmp_path, monkeypatch):
-    log, truth, _ = run
+def test_estimates_of_a_log_are_those_of_the_daemon(tilt, tmp_path, monkeypatch):
+    log, truth, _ = tilt
     monkeypatch.setattr(pivot, "SimulatedSmoothing", partial(SimulatedSmoothing, period_s=4.0))  # the slow part
     out = tmp_path / "out.jsonl"
     assert main(["estimate", str(log), "-o", str(out)]) == 0
@@ -88,9 +101,9 @@ def test_estimates_of_a_log_are_those_of_the_daemon(run, tmp_path, monkeypatch):
     assert score_outline(theta, h, touched == 1, np.array(truth["hP_m"])).e_h < 1e-4
 
 
-def test_the_outline_is_exported_for_cad(run, tmp_path):
+def test_the_outline_is_exported_for_cad(tilt, tmp_path):
     out = tmp_path / "out.svg"
-    assert main(["reconstruct", str(run[0]), "-o", str(out)]) == 0
+    assert main(["reconstruct", str(tilt[0]), "-o", str(out)]) == 0
     assert "<svg" in out.read_text()
 
 

@@ -110,7 +110,7 @@ class PivotingRig(Recorded, PivotLoop):
         super().__init__(recorded_in(folder, config), spec, 3, period_s=math.inf)
 
 
-def run_of(folder, act, seconds=1.7, spec=SWING, config=None):
+def run_of(folder, act, seconds=1.0, spec=SWING, config=None):
     """The recording of a swinging rig to which something is done after a second, and the time of that (s)."""
     rig = Rig(folder, spec, config)
     rig.start()
@@ -255,7 +255,7 @@ def test_a_hold_that_has_ended_can_be_explained_by_its_time(tmp_path):
         rig.go(0.5)
         rig.give("start", "ann")
 
-    run, t = run_of(tmp_path, hold_and_go_on)
+    run, t = run_of(tmp_path, hold_and_go_on, seconds=1.2)
     begin = timeline_of(run).begin
     assert explain(run, t + 0.3 - begin).cause.name == "command"
     later = explain(run, t + 1.5 - begin)
@@ -265,7 +265,7 @@ def test_a_hold_that_has_ended_can_be_explained_by_its_time(tmp_path):
 
 
 def test_the_end_of_a_plan_and_a_requested_end_are_causes(tmp_path):
-    run, t = run_of(tmp_path, lambda _rig: None, spec=SHORT)
+    run, t = run_of(tmp_path, lambda _rig: None, seconds=1.7, spec=SHORT)
     begin = timeline_of(run).begin
     assert "is complete" in explain(run, t + 1.6 - begin).cause.sentence
     run, _ = run_of(tmp_path / "ended", lambda rig: rig.core.close())

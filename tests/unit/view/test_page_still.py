@@ -194,7 +194,7 @@ def test_a_system_without_jogging_has_no_jog_pad(still, bus):
     assert still.shows("plans")
 
 
-@pytest.mark.parametrize("palms", [1, 2, 3])
+@pytest.mark.parametrize("palms", [1, 3])  # two in the other tests
 def test_a_system_of_any_number_of_palms_is_shown_by_its_description(still, bus, palms):
     opened(still, bus, rig_of(palms))
     still.until(lambda: still.script("return document.querySelectorAll('#jog button').length") == 2 * palms, "the pads")
@@ -237,18 +237,29 @@ def test_a_body_in_space_is_drawn_between_its_palms(still, bus):
     still.until(lambda: {"r₁", "φ₁"} <= set(still.script(shown)), "two palms again")
 
 
+ACTIVITIES = """
+    const [stores] = arguments;
+    return Promise.all([import("/knowledge.js"), import("/settling.js")]).then(([{ activity }, { Settling }]) => {
+      const settling = new Settling();
+      for (let t = 0; t <= 12; t++) settling.take(5e-6, t);
+      return stores.map((messages) => activity({ get: (topic) => messages[topic] ?? {} }, settling).words);
+    });
+"""
+
+
 def test_the_current_activity_is_described(still, bus):
     opened(still, bus, rig_of(2))
-    for more, words in (
-        ({}, "Armed, no plan is running"),
-        ({"state": "hold", "cause": "pad 1 fell silent"}, "Held: pad 1 fell silent"),
-        ({"state": "fault", "cause": "arm power is off"}, "Stopped: arm power is off"),
-        ({"state": "ready", "cause": "stop was requested"}, "Disarmed: the arm is not commanded"),
-        ({"explored_s": 28.2, "coverage": 0.98, "coverage_goal": 0.95}, "Done: 98 % in 28 s, ± 5 µm"),
-        ({"explored_s": 60.0, "coverage": 0.7, "coverage_goal": 0.95}, "Ended at 70 % in 60 s"),
-    ):
-        bus.messages = rig_of(2, **more)
-        still.until(lambda words=words: still.text("words").replace("\u00a0", " ") == words, words)
+    still.until(lambda: still.text("words") == "Armed, no plan is running", "the activity")
+    cases = {
+        "Held: pad 1 fell silent": {"state": "hold", "cause": "pad 1 fell silent"},
+        "Stopped: arm power is off": {"state": "fault", "cause": "arm power is off"},
+        "Disarmed: the arm is not commanded": {"state": "ready", "cause": "stop was requested"},
+        "Done: 98 % in 28 s, ± 5 µm": {"explored_s": 28.2, "coverage": 0.98, "coverage_goal": 0.95},
+        "Ended at 70 % in 60 s": {"explored_s": 60.0, "coverage": 0.7, "coverage_goal": 0.95},
+    }
+    unknown = {"explored_s": None, "coverage": None}
+    shown = still.script(ACTIVITIES, [rig_of(2, **unknown | more) for more in cases.values()])
+    assert [words.replace("\u00a0", " ") for words in shown] == list(cases)
     assert (still.text("known"), still.text("typical"), still.text("worst")) == ("40", "± 5", "worst ±\u00a05\u00a0µm")
     assert (still.text("mass"), still.text("mass-sd")) == ("150.0", "± 2.0 g")
 
@@ -315,22 +326,18 @@ def test_an_invalid_estimate_is_shown_without_numbers_and_lens(still, bus):
 
 
 def test_every_button_can_be_pressed_by_keyboard(still, bus):
-    """By tab and space alone; jogging continues while the key is down, and no longer."""
+    """By the space bar; jogging continues while the key is down, and no longer. Tab leads there: see the next test."""
     messages = rig_of(2)
     opened(still, bus, messages)
 
-    def reached(selector):
-        """Whether a number of tabs leads there."""
-        for _ in range(60):
-            ActionChains(still.driver).send_keys(Keys.TAB).perform()
-            if still.script("return document.activeElement.matches(arguments[0])", selector):
-                return True
-        return False
+    def focus(selector):
+        script = "document.querySelector(arguments[0]).focus(); return document.activeElement.matches(arguments[0])"
+        assert still.script(script, selector), selector
 
     def press(selector, twice=False):
         still.until(lambda: still.script("return document.querySelector(arguments[0]).matches(':enabled')", selector),
                     f"{selector} to apply")  # fmt: skip
-        assert reached(selector), selector
+        focus(selector)
         for _ in range(1 + twice):
             ActionChains(still.driver).send_keys(Keys.SPACE).perform()
             time.sleep(DOUBLE_CLICK_S * twice)
@@ -352,14 +359,14 @@ def test_every_button_can_be_pressed_by_keyboard(still, bus):
     assert bus.asked[-2]["args"]["path"] == "explore.yaml"
     press("#new-object", twice=True)
     asks("new_object")
-    assert reached("#note")
+    focus("#note")
     ActionChains(still.driver).send_keys("as hold").perform()  # letters that are keys elsewhere
     press("#send-note")
     asks("note")
     assert bus.asked[-1]["args"] == {"text": "as hold"}
     assert still.text("answer") in ("note…", "note: done")
     for joint, label in (("phi1", "Turn palm 1 forward while held"), ("phi2", "Turn palm 2 back while held")):
-        assert reached(f"[aria-label='{label}']")
+        focus(f"[aria-label='{label}']")
         ActionChains(still.driver).key_down(Keys.SPACE).perform()
         steps = still.until(lambda joint=joint: jogged(joint), "some steps")
         ActionChains(still.driver).key_up(Keys.SPACE).perform()
@@ -445,6 +452,19 @@ def test_state_and_stop_are_visible_in_every_view_and_size(still, bus):
             assert still.script("return document.getElementById('scene').getBoundingClientRect().bottom") <= size[1]
 
 
+def test_a_phone_may_watch_without_the_token(still, bus):
+    still.resize(*PHONE)
+    opened(still, bus, rig_of(2))
+    still.script("sessionStorage.clear()")
+    still.open(token=False)
+    still.until(lambda: not still.shows("stale"), "anything")
+    still.until(lambda: "Read-only" in still.text("authority"), "what it may do")
+    assert still.enabled() == set()
+    right = "return Math.max(...[...document.querySelectorAll('canvas')].map((c) => c.getBoundingClientRect().right))"
+    assert still.script(right) <= PHONE[0]
+    assert still.errors() == []
+
+
 def test_longer_texts_do_not_move_other_elements(still, bus):
     opened(still, bus, rig_of(2))
     where = "return JSON.stringify(['#reason', '#validity', '#take', '.tabs', '#control'].map((name) => {"
@@ -489,7 +509,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
             held, jogs = jogs, sum(asked["cmd"] == "jog" for asked in bus.asked)
             if jogs == held:
                 ActionChains(still.driver).release().click_and_hold(handle).perform()
-        if now > begun + float(os.environ.get("PALMD_SHIFT_S", "6")):
+        if now > begun + float(os.environ.get("PALMD_SHIFT_S", "3.5")):
             break
         codes = HINTS[: step % (1 + len(HINTS))]
         messages["palm/state"] |= {
@@ -516,9 +536,9 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
         }
         following["following_error_rad"] = [0.01 * (step % 9), -0.02]
         messages["palm/motion"] |= following
-        time.sleep(0.25)
+        time.sleep(0.15)
     ActionChains(still.driver).release().perform()
-    assert sum(asked["cmd"] == "jog" for asked in bus.asked) > 20
+    assert sum(asked["cmd"] == "jog" for asked in bus.asked) > 12
     assert still.shifts() == []
     assert still.script(where) == before
 

@@ -344,8 +344,8 @@ def test_a_slow_page_loses_frames_and_its_queue_is_bounded():
 def test_a_page_that_does_not_read_delays_no_other(daemon, served):
     with served.page() as (stuck, _), served.page() as (page, _):
         speak_until_heard(daemon, page)
-        big = {"h_m": [0.0] * 20_000}
-        for _ in range(30):  # more than all buffers on the way to the page that does not read
+        big = {"h_m": [0.0] * 90_000}
+        for _ in range(7):  # more than all buffers on the way to the page that does not read
             daemon.say("palm/shape", big)
             heard(page, "palm/shape")
         assert stuck.protocol.state.name == "OPEN"
