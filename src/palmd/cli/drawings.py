@@ -8,8 +8,7 @@ from typing import TypeVar
 
 from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
 from palmd.console.extras import importing
-from palmd.record.outline_curves import OutlineCurves, curves_of
-from palmd.record.outline_files import Writer, writer_of
+from palmd.record.outline_files import OutlineCurves, Writer, curves_of, writer_of
 from palmd.record.resultfile import ResultError, read_result
 
 Drawing = TypeVar("Drawing")  # an outline, or a surface

@@ -24,9 +24,8 @@ from palmd.daemon.systemd import Notifier
 from palmd.harness.processes import StopRequest, start_beside
 from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
 from palmd.record import RunError
-from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapread import is_packed
-from palmd.record.recorder import record
+from palmd.record.recorder import RecorderLockedError, only_recorder, record
 from palmd.record.recording import ClosedFile
 from palmd.record.runfile import pack
 from palmd.yamlfile import ConfigError, load_any_config

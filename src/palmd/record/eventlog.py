@@ -15,10 +15,19 @@ from pathlib import Path
 
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
-from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.logline import (
+    BadLineError,
+    Line,
+    block,
+    not_negative,
+    number,
+    optional,
+    positive,
+    read_vibration,
+    shown,
+)
 from palmd.record.logreader import VERSION, LogParser, read_log_as
 from palmd.record.logreader import LogError as LogError
-from palmd.record.vibration_line import read_vibration
 from palmd.system.corrections import corrections, fault_of
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS

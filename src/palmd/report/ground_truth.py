@@ -17,8 +17,7 @@ from palmd.observer.outline import wrapped
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import MIN_ROWS, CameraTrack
-from palmd.report.camera_frame import CameraClock, CameraFit, CameraFrame, rms
-from palmd.report.camera_signals import KnownMotion, Signals
+from palmd.report.camera_frame import CameraClock, CameraFit, CameraFrame, KnownMotion, Signals, rms
 from palmd.score import score_outline, support_at
 
 MAX_OFFSET_SD_S = 0.1

@@ -15,13 +15,19 @@ from palmd.report.body import frames
 from palmd.report.errors import Errors, body_at, errors_of, last_outlines, outline_errors
 from palmd.report.findings import RunVerdict, verdict_of
 from palmd.report.frames_figure import MAX_FRAMES, ROW_IN, draw_frames, row_count
-from palmd.report.loop_figure import draw_loop
-from palmd.report.motion_figure import bar_rows, draw_motion
 from palmd.report.outline_figure import DrawnOutline, draw_contacts, draw_outline
 from palmd.report.player_data import player_data
-from palmd.report.quality_figure import draw_consistency, draw_coverage, draw_forces
 from palmd.report.series import Series
-from palmd.report.state_figure import draw_errors, draw_state
+from palmd.report.time_figures import (
+    bar_rows,
+    draw_consistency,
+    draw_coverage,
+    draw_errors,
+    draw_forces,
+    draw_loop,
+    draw_motion,
+    draw_state,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
-"""The report of a run of a system with its own quantity tables; needs matplotlib."""
+"""The reports of recorded runs of systems with their own quantity tables; needs matplotlib."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -9,10 +10,13 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
+from palmd.polygon import closed_outline
 from palmd.quantities import Quantity
+from palmd.record.surface import NORMALS, PLANES, shadow, surface_points
 from palmd.report import texts
 from palmd.report.axes import (
     BLUE,
+    GREY,
     dashed_line,
     estimate_lines,
     in_view,
@@ -23,9 +27,9 @@ from palmd.report.axes import (
     panels,
 )
 from palmd.report.errors import remove_gauge
-from palmd.report.motion_figure import bar_rows, draw_states
 from palmd.report.sections import CaptionedFigure, Report, Section, assembled
-from palmd.report.series import Series
+from palmd.report.series import Bools, Series
+from palmd.report.time_figures import bar_rows, draw_states
 
 COMMANDED = "_cmd_"
 PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
@@ -107,3 +111,58 @@ def _draw_actuators(figure: FigureBase, series: Series, row_count: int) -> None:
         axes.set_ylabel(f"{stem} ({quantity.shown.unit})")
     legend_above(grid[0], 2)
     draw_states(figure, grid, series)
+
+
+def pivot_report(series: Series) -> Report:
+    """The outline about the pivot, followed by the sections common to all systems."""
+    if not series.shape:
+        return system_report(series, ())
+    names = ("theta_rad", "hP_m", "hP_sd_m", "touched")
+    theta, h, sd, touched = (np.array(series.shape[name], dtype=np.float64) for name in names)
+    fraction, worst = float(np.mean(touched > 0)), float(np.max(sd[touched > 0], initial=0.0))
+    caption = (
+        f"The outline about the pivot (cross) at the end: {fraction:.0%} of the normals were touched (blue), with a"
+        f" standard deviation of at most {1e6 * worst:.0f} µm; grey parts were never touched."
+    )
+    figure = CaptionedFigure(partial(_draw_outline, theta=theta, h=h, touched=touched > 0), 4.4, caption)
+    return system_report(series, (Section("Outline", (figure,)),))
+
+
+def _draw_outline(figure: FigureBase, theta: FloatArray, h: FloatArray, touched: Bools) -> None:
+    axes = figure.subplots()
+    points = 1e3 * closed_outline(theta, h)
+    axes.plot(points[:, 0], points[:, 1], color=GREY, linewidth=0.8)
+    nearest = np.rint(np.arange(len(points)) * len(touched) / (len(points) - 1)).astype(int) % len(touched)
+    touched_points = np.where(touched[nearest][:, None], points, np.nan)
+    axes.plot(touched_points[:, 0], touched_points[:, 1], color=BLUE, linewidth=1.6)
+    axes.plot([0.0], [0.0], "+", color="black")
+    axes.set(aspect="equal", xlabel="mm", ylabel="mm")
+
+
+def three_palms_report(series: Series) -> Report:
+    """The surface, followed by the sections common to all systems."""
+    if not series.shape:
+        return system_report(series, ())
+    halvings = int(series.shape["halvings"])
+    h, sd, touched = (np.array(series.shape[name], dtype=np.float64) for name in ("h_m", "h_sd_m", "touched"))
+    touched_points = touched > 0
+    worst = float(np.max(sd[touched_points], initial=0.0))
+    caption = (
+        "Projections of the body onto the planes of its own axes (grey) and the touched points of its surface (blue),"
+        f" {np.mean(touched_points):.0%} of the directions, with a standard deviation of at most {1e6 * worst:.0f} µm."
+        " Elsewhere the shape follows from the prior only."
+    )
+    figure = CaptionedFigure(
+        partial(_draw_surface, h=h, touched_points=touched_points, halvings=halvings), 2.9, caption
+    )
+    return system_report(series, (Section("Surface", (figure,)),))
+
+
+def _draw_surface(figure: FigureBase, h: FloatArray, touched_points: Bools, halvings: int) -> None:
+    theta: FloatArray = np.arange(NORMALS, dtype=np.float64) * (math.tau / NORMALS)
+    points = 1e3 * surface_points(h, halvings)[touched_points]
+    for axes, (plane, (first, second)) in zip(figure.subplots(1, len(PLANES)), PLANES.items(), strict=True):
+        outline = 1e3 * closed_outline(theta, shadow(h, halvings, plane))
+        axes.plot(outline[:, 0], outline[:, 1], color=GREY, linewidth=0.8)
+        axes.plot(points[:, first], points[:, second], ".", color=BLUE, markersize=1.5)
+        axes.set(aspect="equal", title=f"{plane} (mm)")

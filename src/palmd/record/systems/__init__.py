@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from palmd.events import ObserverName
     from palmd.outlinefile import Outline
     from palmd.record.meshfile import Mesh
-    from palmd.record.outline_curves import OutlineCurves
+    from palmd.record.outline_files import OutlineCurves
     from palmd.record.replay import TickFields
 
 

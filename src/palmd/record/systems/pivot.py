@@ -19,11 +19,20 @@ from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record import verdict
-from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.outline_curves import curves_factory
+from palmd.record.logline import (
+    BadLineError,
+    Line,
+    block,
+    not_negative,
+    number,
+    optional,
+    positive,
+    read_vibration,
+    shown,
+)
+from palmd.record.outline_files import curves_factory
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
 from palmd.record.systems import NotYetError, Reconstructed, SystemLog
-from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 
