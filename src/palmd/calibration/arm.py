@@ -16,7 +16,7 @@ from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_l
 from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
-from palmd.console.errors import RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.progress import Progress
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armconformance_port import ArmLine
@@ -51,10 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     folder = result_folder(arguments)
     adept_arm(config)
     poses = _listen(config, arguments.seconds)
-    try:
+    with as_cli_error(TooLittleSwingError, status=RIG_FAILED, before="arm: "):
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
-    except TooLittleSwingError as error:
-        raise CliError(RIG_FAILED, f"arm: {error}") from None
     report(table(fit), remarks(fit))
     settings = proposed_settings(fit, config)
     numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}

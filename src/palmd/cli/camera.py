@@ -47,10 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
         rig, palms = log.rig, [event for event in log.events if isinstance(event, PalmSample)]
         if not palms:
             raise CliError(BAD_INPUT, f"{arguments.log}: has no palm angles")
-    try:
+    with as_cli_error(GroundTruthError, before=f"{arguments.track}: "):
         found = compare(result, motion_of(result, rig, palms), track, outline)
-    except GroundTruthError as error:
-        raise CliError(BAD_INPUT, f"{arguments.track}: {error}") from None
     if arguments.figure is not None:
         _draw(result, found, outline, arguments.figure)
     if arguments.output is not None:

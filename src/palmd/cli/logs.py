@@ -73,10 +73,8 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
     with as_cli_error(LogError, RunError), working(f"reading {path}"):
         system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     print_notes(log.notes)
-    try:
+    with as_cli_error(NotYetError, before=f"{path}: "):
         return system, system.known_to(log, dict(calibration_sd))
-    except NotYetError as error:
-        raise CliError(BAD_INPUT, f"{path}: {error}") from None
 
 
 def _recorded(path: Path) -> tuple[System, EventLog]:

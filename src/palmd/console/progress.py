@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import TextIO
 
 _QUIET_S = 1.0
@@ -42,9 +41,7 @@ class Progress:
         self._stream.write(f"\r{self._what} {bar} {100 * done // self._total:3d} % of {self._total} {self._unit}")
         self._stream.flush()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._shown:
             self._stream.write(_ERASED)
             self._stream.flush()

@@ -145,6 +145,14 @@ class PlanRun:
             self.end()
             raise
 
+    def run(self, plan: Mapping[str, Any], stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
+        """`begin`, `watch` and `end`; returns the last status."""
+        self.begin(plan)
+        try:
+            return self.watch(stop, progress)
+        finally:
+            self.end()
+
     def watch(self, stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
         """Monitor until the plan is complete or `stop` is made; returns the status.
 

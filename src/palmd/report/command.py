@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, writing
 from palmd.console.extras import missing, raise_if_other
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
@@ -68,10 +68,8 @@ def _write(make: Callable[[], Report], source: Path, output: Path) -> None:
     if output.exists() and output.samefile(source):
         raise CliError(BAD_INPUT, f"{output}: is the input file; write to another file")
     report = _render(make, as_pdf=output.suffix.lower() == ".pdf")
-    try:
+    with writing(output):
         output.write_bytes(report)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
 
 
 def _read(recorded: AnyRun) -> Series:
