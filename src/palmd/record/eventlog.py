@@ -163,7 +163,7 @@ def _rig(rig: Line) -> RigDescription:
     if mode not in ("fixed", "arc"):
         raise BadLineError(f"hinge.mode must be fixed or arc, got {shown(mode)}")
     length = positive(hinge, "palm1_length_m") if mode == "arc" else default.palm1_length
-    sds = _sds(rig, _default_sds(rig))
+    sds = calibration_sds(rig)
     common = _sensor(rig, block(rig, "pad"), PadSensor(map_sd=0.0 if _exact(rig) else MAP_SD_M))
     curvatures = [_curvature(rig, palm, common.length) for palm in PALMS]
     described = RigDescription(
@@ -231,15 +231,14 @@ def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
     )
 
 
-def _default_sds(rig: Line) -> Mapping[str, float]:
-    """Standard deviations of constants that the log does not name.
+def calibration_sds(rig: Line) -> dict[str, float]:
+    """Standard deviations of the rig's constants.
 
-    They are 0 if the log gives 0 for all that it names, else those of a calibrated rig. The difference of the palms'
-    friction is not a matter of calibration and is 0 only if the log says so.
+    Those that the log does not name are 0 if it gives 0 for all that it names, else those of a calibrated rig. The
+    difference of the palms' friction is not a matter of calibration and is 0 only if the log says so.
     """
-    if not _exact(rig):
-        return AS_CALIBRATED
-    return dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+    exact = dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+    return _sds(rig, exact if _exact(rig) else AS_CALIBRATED)
 
 
 def _exact(rig: Line) -> bool:

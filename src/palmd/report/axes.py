@@ -166,8 +166,14 @@ def over_time(axes: Axes, series: Series, *, last: bool) -> None:
         axes.set_xlabel("time (s)")
 
 
-def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """Make the y axis logarithmic with plain numbers, also between decades if it spans less than two."""
+def logarithmic(axes: Axes, *values: FloatArray) -> None:
+    """Make the y axis logarithmic for the positive values, with plain numbers, also between two decades."""
+    known = np.concatenate(values)
+    positive = known[np.isfinite(known) & (known > 0.0)]
+    if not len(positive):
+        return
+    low, high = np.percentile(positive, (0.5, 100.0))
+    low, high = low / 2.0, max(2.5 * high, 10.0 * low)
     axes.set(yscale="log", ylim=(low, high))
     few = high < 100.0 * low
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))

@@ -81,14 +81,18 @@ def report_of(series: Series) -> Report:
     """The complete report of a run of two palms; sections without data are omitted or say what is missing."""
     errors = errors_of(series)
     valid_errors = errors if series.valid.any() else None
+    state = [_figure(draw_state, 7.4, texts.state_caption(series), series, errors=errors)]
+    if valid_errors is not None:
+        state.append(_figure(draw_errors, 7.4, texts.errors_caption(series, valid_errors), series, errors=valid_errors))
+    height_in, caption = 3.2 if valid_errors is None else 4.4, texts.consistency_caption(series, valid_errors)
     own = [
         Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
-        Section("State", _state(series, errors, valid_errors)),
+        Section("State", tuple(state)),
         Section("Motion", _motion(series)),
         Section("Forces, friction and mass", _forces(series, valid_errors)),
-        Section("Consistency", _consistency(series, valid_errors)),
+        Section("Consistency", (_figure(draw_consistency, height_in, caption, series, errors=valid_errors),)),
         Section("Coverage", _coverage(series)),
     ]
     return assembled(series, own, valid_errors)
@@ -119,6 +123,13 @@ def rendered(figure: CaptionedFigure) -> Figure:
     return canvas
 
 
+def _figure(
+    draw: Callable[..., None], height_in: float, caption: str, series: Series, **data: object
+) -> CaptionedFigure:
+    """A figure of the run; `draw` gets the series and `data`."""
+    return CaptionedFigure(partial(draw, series=series, **data), height_in, caption)
+
+
 def _player(series: Series) -> tuple[Player, ...]:
     data = player_data(series)
     return () if data is None else (Player(data, texts.player_caption(series)),)
@@ -127,11 +138,7 @@ def _player(series: Series) -> tuple[Player, ...]:
 def _outlines(series: Series) -> tuple[CaptionedFigure, ...]:
     outlines = last_outlines(series)
     if not outlines:
-        return (
-            (CaptionedFigure(partial(draw_contacts, series=series), 3.2, texts.contacts_caption(series)),)
-            if series.valid.any()
-            else ()
-        )
+        return (_figure(draw_contacts, 3.2, texts.contacts_caption(series), series),) if series.valid.any() else ()
     figures = []
     for outline in outlines:
         body = body_at(series, outline.t)
@@ -147,28 +154,14 @@ def _frames(series: Series) -> tuple[CaptionedFigure, ...]:
     if not numbers:
         return ()
     caption = texts.frames_caption(series, numbers)
-    return (CaptionedFigure(partial(draw_frames, series=series), ROW_IN * row_count(series), caption),)
-
-
-def _state(series: Series, errors: Errors | None, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
-    state = CaptionedFigure(partial(draw_state, series=series, errors=errors), 7.4, texts.state_caption(series))
-    if valid_errors is None:
-        return (state,)
-    caption = texts.errors_caption(series, valid_errors)
-    return (state, CaptionedFigure(partial(draw_errors, series=series, errors=valid_errors), 7.4, caption))
+    return (_figure(draw_frames, ROW_IN * row_count(series), caption, series),)
 
 
 def _forces(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
     if not series.valid.any():
         return ()
     caption = texts.forces_caption(series, valid_errors)
-    return (CaptionedFigure(partial(draw_forces, series=series, errors=valid_errors), 3.4, caption),)
-
-
-def _consistency(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
-    height = 3.2 if valid_errors is None else 4.4
-    caption = texts.consistency_caption(series, valid_errors)
-    return (CaptionedFigure(partial(draw_consistency, series=series, errors=valid_errors), height, caption),)
+    return (_figure(draw_forces, 3.4, caption, series, errors=valid_errors),)
 
 
 def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
@@ -176,7 +169,7 @@ def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
         return ()
     height = 4.6 + 0.24 * bar_rows(series)
     return (
-        CaptionedFigure(partial(draw_motion, series=series), height, texts.motion_caption(series)),
+        _figure(draw_motion, height, texts.motion_caption(series), series),
         texts.durations(series.states),
     )
 
@@ -184,11 +177,11 @@ def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
 def _coverage(series: Series) -> tuple[CaptionedFigure, ...]:
     if not series.outlines:
         return ()
-    return (CaptionedFigure(partial(draw_coverage, series=series), 2.6, texts.coverage_caption(series)),)
+    return (_figure(draw_coverage, 2.6, texts.coverage_caption(series), series),)
 
 
 def _loop(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
     if not len(series.loop.t):
         return ()
-    figure = CaptionedFigure(partial(draw_loop, series=series), 3.6, texts.loop_caption(series))
+    figure = _figure(draw_loop, 3.6, texts.loop_caption(series), series)
     return (figure, texts.error_counts(series))

@@ -18,18 +18,14 @@ from palmd.report.axes import (
     BLUE,
     GREY,
     dashed_line,
-    estimate_lines,
     in_view,
-    invalid_shaded,
     legend_above,
     line,
-    over_time,
-    panels,
 )
 from palmd.report.errors import remove_gauge
 from palmd.report.sections import CaptionedFigure, Report, Section, assembled
 from palmd.report.series import Bools, Series
-from palmd.report.time_figures import bar_rows, draw_states
+from palmd.report.time_figures import bar_rows, draw_quantities, draw_states
 
 COMMANDED = "_cmd_"
 PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
@@ -39,8 +35,12 @@ _PANEL_IN = 1.25
 def system_report(series: Series, own: Sequence[Section]) -> Report:
     """The system's `own` sections, then its state and motion; sections without data are omitted."""
     quantities = _drawn_quantities(series)
+
+    def truth(name: str) -> tuple[FloatArray, FloatArray]:
+        return series.truth.t, truth_of(series, name)
+
     state = CaptionedFigure(
-        partial(_draw_estimate, series=series, quantities=quantities),
+        partial(draw_quantities, series=series, quantities=quantities, truth=truth),
         _PANEL_IN * (1 + len(quantities) // 2),
         "Blue: valid estimate with its band; grey: invalid estimate; dashed: an emulated rig's truth.",
     )
@@ -68,21 +68,6 @@ def _actuators(series: Series) -> tuple[Quantity, ...]:
     """The actuators' position quantities that have a commanded counterpart."""
     names = [each.name for each in series.run.topics.motion.quantities if COMMANDED in each.name]
     return tuple(series.run.topics.motion[name.replace(COMMANDED, "_")] for name in names)
-
-
-def _draw_estimate(figure: FigureBase, series: Series, quantities: Sequence[Quantity]) -> None:
-    """Draw each quantity with its band where valid, and an emulated rig's truth dashed."""
-    grid = panels(figure, len(quantities))
-    for axes, quantity in zip(grid, quantities, strict=True):
-        factor = quantity.shown.factor
-        value = estimate_lines(axes, series, quantity)
-        true = truth_of(series, quantity.name) * factor
-        dashed_line(axes, series.truth.t, true, "truth")
-        in_view(axes, value if series.valid.any() else series.estimate[quantity.name] * factor, true)
-        invalid_shaded(axes, series)
-        axes.set_ylabel(quantity.label)
-        over_time(axes, series, last=axes in grid[-2:])
-    legend_above(grid[0])
 
 
 def truth_of(series: Series, name: str) -> FloatArray:

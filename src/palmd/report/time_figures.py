@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -39,31 +40,66 @@ from palmd.report.errors import Errors, count_within_band, normalised_errors, sc
 from palmd.report.series import SD, SDS, Interval, Series
 from palmd.system.mechanism import PALMS
 
+FORCES = tuple(drawn(ESTIMATE, tab="forces"))
 STATE = (*drawn(ESTIMATE, tab="state"), ESTIMATE["mu"])
 _IN_SMALLER = {
     "mm": ("µm", 1e3),
     "°": ("mrad", math.radians(1) * 1e3),
     "°/s": ("mrad/s", math.radians(1) * 1e3),
 }
+_AVERAGED_TICKS = 200  # window of the running mean of the errors
+STATES = {
+    "idle": "#d9d9d9", "ready": "#56b4e9", "tracking": GREEN, "hold": "#e69f00", "fault": ORANGE, "stopping": "#f0e442",
+    "e-stop": BLACK, "power off": GREY, "manual": PINK, "uncalibrated": "#b3b3b3",
+}  # fmt: skip
+ARM_STATES = {"R": "ready", "T": "tracking", "H": "hold", "D": "stopping", "F": "fault", "X": "e-stop",
+    "P": "power off", "M": "manual", "U": "uncalibrated"}  # fmt: skip
+SEVERITIES = {"note": "#9ecae1", "degrade": "#fdae61", "hold": "#d6604d", "stop": "#67001f"}
+_MAX_FAULTS = 12
+_SEGMENT_COLOURS = (BLUE, "#56b4e9")  # alternating
+_OF_A_SECOND = (BLUE, ORANGE, BLACK)
+_OF_A_PORT = (BLUE, ORANGE, GREEN)
+_COLUMNS = 120  # for the ages, which oscillate
+
+Truth = Callable[[str], tuple[FloatArray, FloatArray] | None]
+"""Times and true values of a quantity, by its name; None if its truth is unknown."""
+
+
+def draw_quantities(
+    figure: FigureBase, series: Series, quantities: Sequence[Quantity], truth: Truth, *, invalid: bool = True
+) -> None:
+    """Draw each quantity with its band where it is valid, elsewhere thin grey if `invalid`, and its truth dashed."""
+    grid = panels(figure, len(quantities))
+    for axes, quantity in zip(grid, quantities, strict=True):
+        factor = quantity.shown.factor
+        drawn = [estimate_lines(axes, series, quantity, invalid=invalid)]
+        if not series.valid.any():
+            drawn = [series.estimate[quantity.name] * factor]
+        if (true := truth(quantity.name)) is not None:
+            drawn.append(true[1] * factor)
+            dashed_line(axes, true[0], drawn[-1], "truth")
+        in_view(axes, *drawn)
+        _finish(axes, series, quantity.label, grid)
 
 
 def draw_state(figure: FigureBase, series: Series, errors: Errors | None) -> None:
     """Draw the state with its band, and the truth dashed."""
-    for axes, quantity, last in _panels(figure):
-        factor = quantity.shown.factor
-        drawn = [estimate_lines(axes, series, quantity)]
-        if errors is not None and quantity.name in errors.true:
-            drawn.append(errors.true[quantity.name] * factor)
-            dashed_line(axes, series.estimate.t, drawn[-1], "truth")
-        if not series.valid.any():
-            drawn = [series.estimate[quantity.name] * factor]
-        in_view(axes, *drawn)
-        _finish(axes, series, last, quantity.label)
+    draw_quantities(figure, series, STATE, partial(_truth, series, errors))
+
+
+def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> None:
+    """Draw normal forces, friction and mass with their bands, and the truth dashed."""
+    draw_quantities(figure, series, FORCES, partial(_truth, series, errors), invalid=False)
+
+
+def _truth(series: Series, errors: Errors | None, name: str) -> tuple[FloatArray, FloatArray] | None:
+    return None if errors is None or name not in errors.true else (series.estimate.t, errors.true[name])
 
 
 def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
     """Draw estimate minus truth, and the band of the standard deviations."""
-    for axes, quantity, last in _panels(figure):
+    grid = panels(figure, len(STATE))
+    for axes, quantity in zip(grid, STATE, strict=True):
         unit, smaller = _IN_SMALLER.get(quantity.shown.unit, (quantity.shown.unit, 1.0))
         factor = quantity.shown.factor * smaller
         t, valid = series.estimate.t, series.valid
@@ -79,41 +115,18 @@ def draw_errors(figure: FigureBase, series: Series, errors: Errors) -> None:
         highest = max(map(abs, axes.get_ylim()))
         axes.set_ylim(-highest, highest)
         within, judged = count_within_band(series, errors, quantity.name) if quantity.name in errors.error else (0, 0)
-        _finish(axes, series, last, f"Δ{quantity.symbol} ({unit})" if unit else f"Δ{quantity.symbol}")
+        _finish(axes, series, f"Δ{quantity.symbol} ({unit})" if unit else f"Δ{quantity.symbol}", grid)
         if judged:
             axes.set_title(f"{within / judged:.0%} inside", loc="right", fontsize=7.0, pad=2.0)
 
 
-def _panels(figure: FigureBase) -> list[tuple[Axes, Quantity, bool]]:
-    grid = panels(figure, len(STATE))
-    return [(axes, quantity, axes in grid[-2:]) for axes, quantity in zip(grid, STATE, strict=True)]
-
-
-def _finish(axes: Axes, series: Series, last: bool, label: str) -> None:
+def _finish(axes: Axes, series: Series, label: str, grid: Sequence[Axes]) -> None:
+    """Shade invalid times and label the axes of a panel of the grid; the legend is over the first one."""
     invalid_shaded(axes, series)
     axes.set_ylabel(label)
-    over_time(axes, series, last=last)
-    if axes.get_subplotspec().get_geometry()[2] == 0:  # type: ignore[union-attr]
+    over_time(axes, series, last=axes in grid[-2:])
+    if axes is grid[0]:
         legend_above(axes)
-
-
-FORCES = tuple(drawn(ESTIMATE, tab="forces"))
-_AVERAGED_TICKS = 200  # window of the running mean of the errors
-
-
-def draw_forces(figure: FigureBase, series: Series, errors: Errors | None) -> None:
-    """Draw normal forces, friction and mass with their bands, and the truth dashed."""
-    rows = panels(figure, len(FORCES))
-    for axes, quantity in zip(rows, FORCES, strict=True):
-        drawn = [estimate_lines(axes, series, quantity, invalid=False)]
-        if errors is not None and quantity.name in errors.true:
-            drawn.append(errors.true[quantity.name] * quantity.shown.factor)
-            dashed_line(axes, series.estimate.t, drawn[-1], "truth")
-        in_view(axes, *drawn)
-        axes.set_ylabel(quantity.label)
-        invalid_shaded(axes, series)
-        over_time(axes, series, last=axes in rows[-2:])
-    legend_above(rows[0])
 
 
 def nis_band() -> tuple[float, float]:
@@ -134,14 +147,14 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
     nis.set(ylabel="NIS", ylim=(0.0, max(2.4, _high(series.estimate["nis"]))))
     line(observability, t, series.estimate["observability"], color=BLUE)
     observability.set_ylabel("smallest\nsingular value")
-    _logarithmic(observability, series.estimate["observability"])
+    logarithmic(observability, series.estimate["observability"])
     if errors is not None:
         squares = normalised_errors(series, errors)
         line(grid[2], t, squares, color=BLUE, linewidth=0.6, label="mean of r₁, r₂, ω₀")
         line(grid[2], t, _running_mean(squares), color=BLACK, label="mean of the last 2 s")
         grid[2].axhline(1.0, color=GREY, linewidth=0.7, linestyle=DASHED)
         grid[2].set_ylabel("(error / sd)²")
-        _logarithmic(grid[2], squares)
+        logarithmic(grid[2], squares)
         legend_above(grid[2])
     legend_above(nis)
     for axes in grid:
@@ -165,7 +178,7 @@ def draw_coverage(figure: FigureBase, series: Series) -> None:
     for t_of, values, colour, style, label in drawn:
         line(known, t_of, values * 1e6, color=colour, linestyle=style, label=label)
     known.set_ylabel("h (µm)")
-    _logarithmic(known, np.concatenate([values * 1e6 for _, values, *_ in drawn]))
+    logarithmic(known, *(values * 1e6 for _, values, *_ in drawn))
     legend_above(known, 2)
     for axes in (touched, known):
         invalid_shaded(axes, series)
@@ -190,27 +203,9 @@ def _running_mean(values: FloatArray) -> FloatArray:
     return np.where(known, total / np.maximum(count, 1), math.nan)
 
 
-def _logarithmic(axes: Axes, values: FloatArray) -> None:
-    positive = values[np.isfinite(values) & (values > 0.0)]
-    if len(positive):
-        low, high = np.percentile(positive, (1.0, 99.9))
-        logarithmic(axes, low / 2, max(high * 2, low * 10))
-
-
 def _high(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return 1.1 * float(np.percentile(known, 99.9)) if len(known) else 0.0
-
-
-STATES = {
-    "idle": "#d9d9d9", "ready": "#56b4e9", "tracking": GREEN, "hold": "#e69f00", "fault": ORANGE, "stopping": "#f0e442",
-    "e-stop": BLACK, "power off": GREY, "manual": PINK, "uncalibrated": "#b3b3b3",
-}  # fmt: skip
-ARM_STATES = {"R": "ready", "T": "tracking", "H": "hold", "D": "stopping", "F": "fault", "X": "e-stop",
-    "P": "power off", "M": "manual", "U": "uncalibrated"}  # fmt: skip
-SEVERITIES = {"note": "#9ecae1", "degrade": "#fdae61", "hold": "#d6604d", "stop": "#67001f"}
-_MAX_FAULTS = 12
-_SEGMENT_COLOURS = (BLUE, "#56b4e9")  # alternating
 
 
 def bar_rows(series: Series) -> int:
@@ -264,11 +259,6 @@ def draw_states(figure: FigureBase, grid: Sequence[Axes], series: Series) -> Non
         figure.legend(handles=key, loc="outside lower center", ncols=6)
 
 
-_OF_A_SECOND = (BLUE, ORANGE, BLACK)
-_OF_A_PORT = (BLUE, ORANGE, GREEN)
-_COLUMNS = 120  # for the ages, which oscillate
-
-
 def draw_loop(figure: FigureBase, series: Series) -> None:
     """Draw lateness and work of each second, skipped ticks, and ages of the readings."""
     (lateness, work), (skipped, ages) = figure.subplots(2, 2, sharex=True)
@@ -278,7 +268,8 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
         for part, colour in zip(parts, _OF_A_SECOND, strict=True):
             values = np.where(measured, series.loop[part.name], math.nan)
             line(axes, series.loop.t, values, color=colour, linewidth=0.8, label=part.symbol)
-        _positive(axes, [series.loop[part.name][measured] for part in parts])
+        logarithmic(axes, *(series.loop[part.name][measured] for part in parts))
+        axes.legend(loc="upper right", ncols=3)
         axes.set_ylabel(f"{quantity} ({parts[0].unit})")
     line(skipped, series.loop.t, series.loop["overruns"], color=BLUE)
     skipped.set(
@@ -291,17 +282,8 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
     for age, colour in zip(of_ports, _OF_A_PORT, strict=True):
         t_oldest, _, oldest = thinned_band(t, series.contact[age.name], series.contact[age.name], _COLUMNS)
         ages.plot(t_oldest, oldest, color=colour, linewidth=0.8, label=age.symbol)
-    _positive(ages, [series.contact[age.name] for age in of_ports])
+    logarithmic(ages, *(series.contact[age.name] for age in of_ports))
+    ages.legend(loc="upper right", ncols=3)
     ages.set_ylabel("oldest reading (ms)")
     for axes in (lateness, work, skipped, ages):
         over_time(axes, series, last=axes in (skipped, ages))
-
-
-def _positive(axes: Axes, drawn: Sequence[FloatArray]) -> None:
-    """Set a logarithmic axis for all curves, with room for the legend."""
-    values = np.concatenate(drawn)
-    positive = values[np.isfinite(values) & (values > 0.0)]
-    if len(positive):
-        low, high = np.percentile(positive, (0.5, 100.0))
-        logarithmic(axes, low / 1.5, max(high * 2.5, low * 10.0))
-    axes.legend(loc="upper right", ncols=3)
