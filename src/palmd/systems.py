@@ -62,7 +62,7 @@ class SystemParts:
     live: LiveParts | None = None
     """None if only logs are supported."""
     log_report: str = ""
-    """Makes the report of a reconstructed event log; empty if only recordings have one."""
+    """Makes the `palmd.report.sections.Report` of a name and a result; empty if only recordings have one."""
 
 
 SYSTEMS: Mapping[str, SystemParts] = {
@@ -116,7 +116,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
             "three_palms",
             "three palms in space",
             log="palmd.record.systems.three_palms:SYSTEM",
-            log_report="palmd.report.command:run_body",
+            log_report="palmd.report.body_report:body_report",
             live=LiveParts(
                 manual="docs/start/three-palms.md",
                 demo="three_palms.yaml",

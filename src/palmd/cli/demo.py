@@ -16,14 +16,13 @@ from pathlib import Path
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
-from palmd.cli.browser import open_page
 from palmd.cli.build import prepare_kernels
 from palmd.config.any_config import AnyConfig, BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import positive
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.extras import require
-from palmd.console.notes import say
+from palmd.console.notes import open_page, say
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
 from palmd.harness.operator import Operator, do, still_needed

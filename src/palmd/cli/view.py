@@ -16,8 +16,8 @@ from pathlib import Path
 
 from palmd.bus.addresses import INSTALLED, add_config, command_address, publish_address
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
-from palmd.cli.browser import open_page
 from palmd.console.arguments import whole_between
+from palmd.console.notes import open_page
 from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
 from palmd.view.server import Settings, serve_page
 
