@@ -16,8 +16,7 @@ from palmd.outlinefile import Outline, OutlineError, read_outline
 from palmd.record.resultfile import Result, ResultError, read_result
 from palmd.record.track import ANGLES, OBJECT, TIME, TrackError, read_track
 from palmd.report.camera_frame import motion_of
-from palmd.report.ground_truth import CameraComparison, GroundTruthError, compare
-from palmd.report.ground_truth_report import as_line, report_lines
+from palmd.report.ground_truth import CameraComparison, GroundTruthError, as_line, compare, report_lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

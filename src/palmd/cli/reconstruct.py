@@ -19,8 +19,8 @@ from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.calipers import TRUTH
-from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
+from palmd.record.surface import MESHES
 from palmd.record.systems import Reconstructed
 
 

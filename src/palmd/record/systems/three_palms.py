@@ -29,8 +29,8 @@ from palmd.record.logline import (
     read_vibration,
     shown,
 )
-from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
+from palmd.record.surface import Mesh
 from palmd.record.systems import NotYetError, Reconstructed, SystemLog
 from palmd.system.reasons import Code, Reason
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
