@@ -10,21 +10,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from palmd.calibration.files import (
-    add_config,
-    add_output,
-    document,
-    not_written,
-    plain,
-    report,
-    result_folder,
-    write,
-)
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config.pads import PadConfig
 from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
-from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error, writing
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
 from palmd.devices.pad import PadReport
@@ -149,8 +140,6 @@ def _draw(packets: list[PadReport], found: PadCharacteristic, config: PadConfig,
     figure = drawing("palmd.calibration.pad_figure")
     if figure is None:
         return []
-    try:
+    with writing(path):
         figure.save(packets, found, config, path)
-    except OSError as error:
-        raise not_written(path, error) from None
     return [path]

@@ -19,7 +19,6 @@ from palmd.report.outline_figure import DrawnOutline, draw_contacts, draw_outlin
 from palmd.report.player_data import player_data
 from palmd.report.series import Series
 from palmd.report.time_figures import (
-    bar_rows,
     draw_consistency,
     draw_coverage,
     draw_errors,
@@ -27,6 +26,7 @@ from palmd.report.time_figures import (
     draw_loop,
     draw_motion,
     draw_state,
+    motion_height_in,
 )
 
 
@@ -90,7 +90,7 @@ def report_of(series: Series) -> Report:
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
         Section("State", tuple(state)),
-        Section("Motion", _motion(series)),
+        Section("Motion", motion(series, texts.motion_caption(series), differences=True)),
         Section("Forces, friction and mass", _forces(series, valid_errors)),
         Section("Consistency", (_figure(draw_consistency, height_in, caption, series, errors=valid_errors),)),
         Section("Coverage", _coverage(series)),
@@ -164,14 +164,13 @@ def _forces(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigur
     return (_figure(draw_forces, 3.4, caption, series, errors=valid_errors),)
 
 
-def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
+def motion(series: Series, caption: str, *, differences: bool = False) -> tuple[CaptionedFigure | texts.Table, ...]:
+    """The figure of the motion and the duration of each state; empty without motion."""
     if not len(series.motion.t):
         return ()
-    height = 4.6 + 0.24 * bar_rows(series)
-    return (
-        _figure(draw_motion, height, texts.motion_caption(series), series),
-        texts.durations(series.states),
-    )
+    height_in = motion_height_in(series, differences=differences)
+    figure = _figure(draw_motion, height_in, caption, series, differences=differences)
+    return (figure, texts.durations(series.states))
 
 
 def _coverage(series: Series) -> tuple[CaptionedFigure, ...]:

@@ -13,23 +13,18 @@ from palmd.events import FloatArray
 from palmd.polygon import closed_outline
 from palmd.quantities import Quantity
 from palmd.record.surface import NORMALS, PLANES, shadow, surface_points
-from palmd.report import texts
 from palmd.report.axes import (
     BLUE,
     GREY,
-    dashed_line,
-    in_view,
-    legend_above,
-    line,
 )
 from palmd.report.errors import remove_gauge
-from palmd.report.sections import CaptionedFigure, Report, Section, assembled
+from palmd.report.sections import CaptionedFigure, Report, Section, assembled, motion
 from palmd.report.series import Bools, Series
-from palmd.report.time_figures import bar_rows, draw_quantities, draw_states
+from palmd.report.time_figures import draw_quantities
 
-COMMANDED = "_cmd_"
 PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
 _PANEL_IN = 1.25
+_MOTION = "Commanded and actual positions of the actuators; below, states and faults."
 
 
 def system_report(series: Series, own: Sequence[Section]) -> Report:
@@ -44,30 +39,12 @@ def system_report(series: Series, own: Sequence[Section]) -> Report:
         _PANEL_IN * (1 + len(quantities) // 2),
         "Blue: valid estimate with its band; grey: invalid estimate; dashed: an emulated rig's truth.",
     )
-    return assembled(series, [*own, Section("State", (state,)), Section("Motion", _motion(series))])
-
-
-def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
-    if not len(series.motion.t):
-        return ()
-    row_count = bar_rows(series)
-    height = 0.6 + 1.3 * len(_actuators(series)) + 0.24 * row_count
-    caption = "Commanded and actual positions of the actuators; below, states and faults."
-    return (
-        CaptionedFigure(partial(_draw_actuators, series=series, row_count=row_count), height, caption),
-        texts.durations(series.states),
-    )
+    return assembled(series, [*own, Section("State", (state,)), Section("Motion", motion(series, _MOTION))])
 
 
 def _drawn_quantities(series: Series) -> tuple[Quantity, ...]:
     """The quantities to draw: those with a symbol."""
     return tuple(each for each in series.run.topics.estimate.quantities if each.kind == "number" and each.symbol)
-
-
-def _actuators(series: Series) -> tuple[Quantity, ...]:
-    """The actuators' position quantities that have a commanded counterpart."""
-    names = [each.name for each in series.run.topics.motion.quantities if COMMANDED in each.name]
-    return tuple(series.run.topics.motion[name.replace(COMMANDED, "_")] for name in names)
 
 
 def truth_of(series: Series, name: str) -> FloatArray:
@@ -78,24 +55,6 @@ def truth_of(series: Series, name: str) -> FloatArray:
     _, zero = remove_gauge(series, series.estimate[name] - np.interp(t, series.truth.t, true))
     nearest: FloatArray = zero[np.searchsorted(t, series.truth.t).clip(0, len(t) - 1)]
     return true + nearest
-
-
-def _draw_actuators(figure: FigureBase, series: Series, row_count: int) -> None:
-    """Draw commanded and actual position of each actuator, and below states and faults as `row_count` bars."""
-    quantities = _actuators(series)
-    grid = figure.subplots(
-        1 + len(quantities), 1, sharex=True, height_ratios=(*(1.3,) * len(quantities), 0.24 * row_count)
-    )
-    for axes, quantity in zip(grid, quantities, strict=False):
-        stem, _, unit = quantity.name.rpartition("_")
-        factor = quantity.shown.factor
-        commanded, actual = (series.motion[name] * factor for name in (f"{stem}{COMMANDED}{unit}", quantity.name))
-        line(axes, series.motion.t, actual, color=BLUE, linewidth=1.2, label="actual")
-        dashed_line(axes, series.motion.t, commanded, "commanded")
-        in_view(axes, actual, commanded)
-        axes.set_ylabel(f"{stem} ({quantity.shown.unit})")
-    legend_above(grid[0], 2)
-    draw_states(figure, grid, series)
 
 
 def pivot_report(series: Series) -> Report:

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from palmd.events import FloatArray
 from palmd.observer.bank import NIS_READINGS
 from palmd.observer.validity import MOST_NIS
-from palmd.quantities import CONTACT, ESTIMATE, LOOP, MOTION, Quantity, drawn
+from palmd.quantities import CONTACT, ESTIMATE, LOOP, Quantity, drawn
 from palmd.report.axes import (
     BLACK,
     BLUE,
@@ -55,6 +55,7 @@ STATES = {
 ARM_STATES = {"R": "ready", "T": "tracking", "H": "hold", "D": "stopping", "F": "fault", "X": "e-stop",
     "P": "power off", "M": "manual", "U": "uncalibrated"}  # fmt: skip
 SEVERITIES = {"note": "#9ecae1", "degrade": "#fdae61", "hold": "#d6604d", "stop": "#67001f"}
+COMMANDED = "_cmd_"
 _MAX_FAULTS = 12
 _SEGMENT_COLOURS = (BLUE, "#56b4e9")  # alternating
 _OF_A_SECOND = (BLUE, ORANGE, BLACK)
@@ -213,21 +214,37 @@ def bar_rows(series: Series) -> int:
     return 3 + min(len({fault.code for fault in series.faults}), _MAX_FAULTS)
 
 
-def draw_motion(figure: FigureBase, series: Series) -> None:
-    """Draw angles and following errors, and below states and faults as bars."""
-    count = bar_rows(series)
-    grid = figure.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1.0, 0.24 * count))
-    for axes, palm in zip(grid, PALMS, strict=False):
-        t = series.motion.t
-        commanded, actual = (np.degrees(series.motion[f"phi{palm}{infix}_rad"]) for infix in ("_cmd", ""))
+def actuators(series: Series) -> list[Quantity]:
+    """The actuators' position quantities, each of which has a commanded counterpart."""
+    names = [each.name for each in series.run.topics.motion.quantities if COMMANDED in each.name]
+    return [series.run.topics.motion[name.replace(COMMANDED, "_")] for name in names]
+
+
+def motion_height_in(series: Series, *, differences: bool) -> float:
+    """Height (inches) of `draw_motion`."""
+    return 0.6 + 1.3 * len(actuators(series)) + 1.4 * differences + 0.24 * bar_rows(series)
+
+
+def draw_motion(figure: FigureBase, series: Series, *, differences: bool) -> None:
+    """Draw positions of the actuators, their `differences` from the commanded ones, and states and faults as bars."""
+    quantities, t = actuators(series), series.motion.t
+    ratios = (*[1.3] * len(quantities), *[1.0] * differences, 0.24 * bar_rows(series))
+    grid = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    for number, (axes, quantity) in enumerate(zip(grid, quantities, strict=False)):
+        stem, _, unit = quantity.name.rpartition("_")
+        names = f"{stem}{COMMANDED}{unit}", quantity.name
+        commanded, actual = (series.motion[name] * quantity.shown.factor for name in names)
         line(axes, t, actual, color=BLUE, linewidth=1.2, label="actual")
         dashed_line(axes, t, commanded, "commanded")
-        line(grid[2], t, actual - commanded, color=(BLUE, ORANGE)[palm - 1], linewidth=0.7, label=f"palm {palm}")
         in_view(axes, actual, commanded, least=1.0)
-        axes.set_ylabel(MOTION[f"phi{palm}_rad"].label)
+        axes.set_ylabel(quantity.label if quantity.symbol else f"{stem} ({quantity.shown.unit})")
+        if differences:
+            label = f"palm {PALMS[number]}"
+            line(grid[-2], t, actual - commanded, color=(BLUE, ORANGE)[number], linewidth=0.7, label=label)
     legend_above(grid[0], 2)
-    grid[2].set_ylabel("actual −\ncommanded (°)")
-    grid[2].legend(loc="upper right", ncols=2)
+    if differences:
+        grid[-2].set_ylabel("actual −\ncommanded (°)")
+        grid[-2].legend(loc="upper right", ncols=2)
     draw_states(figure, grid, series)
 
 
