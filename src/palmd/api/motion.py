@@ -104,7 +104,7 @@ class RigMotion(Armed):
                 continue
             fields = message.fields
             self.coverage, self.reason = fields["coverage"], fields["reason"]
-            if fields["state"] == "tracking" and self._is_over():
+            if fields["state"] == "tracking" and self._rig.status()["over"]:
                 self.over = True
                 return
             if fields["state"] == "tracking":
@@ -132,9 +132,6 @@ class RigMotion(Armed):
 
     def _finish(self) -> None:
         self.wait()
-
-    def _is_over(self) -> bool:
-        return bool(self._rig.status()["over"])
 
 
 class RigJog(Armed):

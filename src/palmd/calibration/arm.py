@@ -55,10 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
     report(table(fit), remarks(fit))
     settings = proposed_settings(fit, config)
-    numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
-    results = {"poses": fit.poses} | plain({_key(name): _scaled(name, value) for name, value in numbers.items()})
+    results = {"poses": fit.poses}
+    for name, value in asdict(fit).items():
+        if name.startswith(("tool", "span")):
+            results[f"{name}_deg"] = math.degrees(value)
+        elif name != "poses":
+            results[f"{name}_mm"] = value * 1e3
     section = changed(config, settings["rig"], settings["arm"])
-    store(folder / "arm.yaml", document({"palmd_arm_calibration": FORMAT}, section, settings, results))
+    store(folder / "arm.yaml", document({"palmd_arm_calibration": FORMAT}, section, settings, plain(results)))
     print(f"{arguments.config}: write in these sections:\n{lines(settings)}")
     return 0
 
@@ -102,18 +106,6 @@ def proposed_settings(fit: LinkageFit, config: Config) -> dict[str, dict[str, fl
         },
         "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), adept_arm(config).base_yaw_deg),
     }
-
-
-def _is_angle(name: str) -> bool:
-    return name.startswith(("tool", "span"))
-
-
-def _key(name: str) -> str:
-    return f"{name}_{'deg' if _is_angle(name) else 'mm'}"
-
-
-def _scaled(name: str, value: float) -> float:
-    return math.degrees(value) if _is_angle(name) else value * 1e3
 
 
 def _listen(config: Config, seconds: float) -> list[Pose]:

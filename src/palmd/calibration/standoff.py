@@ -66,18 +66,15 @@ def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], Non
     sessions = [recorded_events(arguments, config, plans[0], cylinder=names[0])]
     exchange(config, names[0])
     sessions.append(recorded_events(arguments, config, plans[1], cylinder=names[1]))
+    # of the constant itself, and of the play between each palm and its actuator
+    opening_sd_deg = math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
     radii_m = (radii_mm[0] * 1e-3, radii_mm[1] * 1e-3)
     with as_cli_error(CylinderError, status=RIG_FAILED):
-        found = pad_standoffs(sessions, config.pads.each(), radii_m, math.radians(_opening_sd_deg(config)))
+        found = pad_standoffs(sessions, config.pads.each(), radii_m, math.radians(opening_sd_deg))
     report(table(found), remarks(found, config))
     results = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
     kind = {"palmd_standoff": FORMAT, "radius_mm": radii_mm[0], "second_radius_mm": radii_mm[1]}
     store_result(folder / FILE, kind, arguments, config, proposed_settings(found), results)
-
-
-def _opening_sd_deg(config: Config) -> float:
-    """1σ of φ2: of the constant itself, and of the play between each palm and its actuator."""
-    return math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
 
 
 def table(found: Sequence[PadStandoff]) -> str:

@@ -160,10 +160,8 @@ def _system(estimate: Mapping[str, Any]) -> str:
     """System of an estimate, by its fields; two palms if there is no estimate yet."""
     from palmd.topics import SYSTEM_TOPICS
 
-    def matching_fields(name: str) -> int:
-        return sum(each.name in estimate for each in SYSTEM_TOPICS[name].estimate.quantities)
-
-    return max(SYSTEM_TOPICS, key=matching_fields)
+    fields = {name: topics.estimate.quantities for name, topics in SYSTEM_TOPICS.items()}
+    return max(fields, key=lambda name: sum(each.name in estimate for each in fields[name]))
 
 
 def _log_lines(result: dict[str, Any]) -> list[str]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.build import prepare_kernels
-from palmd.config.any_config import AnyConfig, BusConfig
+from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import positive
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
@@ -30,7 +30,6 @@ from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
 from palmd.rig.app import add_object_arguments
 from palmd.rig.imperfections import perfect
-from palmd.rig.plant import Physics
 from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -99,7 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"Seed {stack.rig_info['seed']}; the object is unknown to the daemon. Watch it with:")
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
-        comparison = _comparison(config, stack.rig_info["seed"], physics)
+        world = _WORLDS.get(str(config.rig.imperfections), "with configured imperfections")
+        world += " in MuJoCo" if physics == "mujoco" else ""
+        comparison: AnyComparison = load_part(LIVE[config.system].comparison)(stack.rig_info["seed"], world)
         if not stack.start_page() and not stop.made:
             say(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
         _name_other_views(stack.bus)
@@ -112,13 +113,6 @@ def run(arguments: argparse.Namespace) -> int:
             _finish_recording(stack, advise=config.system == TWO_PALMS and not comparison.settled)
     print(comparison.summary())
     return 0 if comparison.settled else RIG_FAILED
-
-
-def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison:
-    world = _WORLDS.get(str(config.rig.imperfections), "with configured imperfections")
-    world += " in MuJoCo" if physics == "mujoco" else ""
-    comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
-    return comparison
 
 
 def _name_other_views(bus: BusConfig) -> None:

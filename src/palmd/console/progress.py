@@ -52,7 +52,7 @@ def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str],
     """Context that shows the text `what`; yields a function that replaces it. For work of unknown length."""
     stream = stream or sys.stderr
     if not stream.isatty():
-        yield _silent
+        yield lambda _: None
         return
 
     def say(doing: str) -> None:
@@ -66,10 +66,6 @@ def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str],
     finally:
         stream.write(_ERASED)
         stream.flush()
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 def _cells(stream: TextIO) -> str:

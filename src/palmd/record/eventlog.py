@@ -330,14 +330,10 @@ def _calibration_sd_of(rig: RigDescription, name: str) -> float:
 def event_line(event: Event) -> Line | None:
     """One event as a line; None for a `PadLift`, which shows as a gap in the readings."""
     if isinstance(event, PadSample):
-        fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
-        return {"t": event.t_sample} | _without_none(fields)
+        force = {} if event.force is None else {"force_n": event.force}
+        return {"t": event.t_sample, "pad": event.pad, "s_m": event.s, **force}
     if isinstance(event, PalmSample):
         columns = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
         palms = {name: value for names, values in columns for name, value in zip(names, values or (), strict=False)}
         return {"t": event.t_sample, "palms": palms}
     return None
-
-
-def _without_none(fields: Line) -> Line:
-    return {name: value for name, value in fields.items() if value is not None}

@@ -252,7 +252,9 @@ def _log_lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
     truths: deque[Line] = deque()
     for message in run.messages():
         if message.topic == TRUTH.name:
-            truths.append(_truth_line(message.fields))
+            fields = message.fields
+            values = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
+            truths.append({"t": fields["mono_ns"] * 1e-9, "truth": values})
         elif message.topic == EVENTS.name:
             for line in filter(None, map(event_line, events_of(message.fields))):
                 while truths and truths[0]["t"] <= line["t"]:
@@ -260,11 +262,6 @@ def _log_lines(run: Run, done: Callable[[], None]) -> Iterator[Line]:
                 yield line
         done()
     yield from truths
-
-
-def _truth_line(fields: Line) -> Line:
-    values = {name: or_none(value) for name, value in fields.items() if name not in _STAMP}
-    return {"t": fields["mono_ns"] * 1e-9, "truth": values}
 
 
 def _write_outline(drawn: Writer, run: AnyRun, path: Path, done: Callable[[], None]) -> None:

@@ -195,7 +195,9 @@ def _in_frame(
 ) -> tuple[Rotation, FloatArray]:
     """The source's rotations and tracked points in the reference's frame."""
     stride = max(1, round(BASELINE_S / float(np.median(np.diff(t)))))
-    true_increments, increments = (_rotation_increments(each, stride) for each in (true_rotation, rotation))
+    true_increments, increments = (  # rotation vectors between rows `stride` apart, in the world frame
+        (each[stride:] * each[:-stride].inv()).as_rotvec() for each in (true_rotation, rotation)
+    )
     axes = [_axis(each) for each in (true_increments, increments)]
     if axes[0] is not None and axes[1] is not None:
         frame = _plane_frame(true_increments, increments, axes[0], axes[1], true_position, rotation, position)
@@ -211,11 +213,6 @@ def _in_frame(
     target = (true_position[known] - rotated[known]).reshape(-1)
     solution = np.linalg.lstsq(columns.reshape(-1, 6), target, rcond=None)[0]
     return frame * rotation, rotated + solution[:3] + (frame * rotation).apply(solution[3:])
-
-
-def _rotation_increments(rotations: Rotation, stride: int) -> FloatArray:
-    """Rotations between rows `stride` apart as rotation vectors (n, 3), in the world frame."""
-    return np.asarray((rotations[stride:] * rotations[:-stride].inv()).as_rotvec())
 
 
 def _axis(increments: FloatArray) -> FloatArray | None:

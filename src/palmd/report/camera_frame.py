@@ -188,14 +188,11 @@ class CameraFit:
         palms = missing if self._signals.palms is None else wrapped(self._palms - self._signals.palms(t) - p[3])
         return angle, mark, palms
 
-    def _whitened(self, p: FloatArray) -> FloatArray:
-        """Residuals divided by their noise (n, 5), 0 where not observed."""
+    def _whitened_residuals(self, p: FloatArray) -> FloatArray:
+        """Residuals divided by their noise (5 n), 0 where not observed."""
         angle, mark, palms = self._residuals(p)
         whitened = np.concatenate([angle[:, None] / self._sd[0], mark / self._sd[1], palms / self._sd[2]], axis=1)
-        return np.where(np.isfinite(whitened), whitened, 0.0)
-
-    def _whitened_residuals(self, p: FloatArray) -> FloatArray:
-        return self._whitened(p).ravel()
+        return np.where(np.isfinite(whitened), whitened, 0.0).ravel()
 
     def _first_guess(self) -> FloatArray:
         """Linear solution for a known clock: mark = T + a c + b e^{iψ} in complex numbers, a = e^{iα}, b = a m."""

@@ -11,7 +11,6 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.polygon import closed_outline
-from palmd.quantities import Quantity
 from palmd.record.surface import NORMALS, PLANES, shadow, surface_points
 from palmd.report.axes import (
     BLUE,
@@ -29,7 +28,8 @@ _MOTION = "Commanded and actual positions of the actuators; below, states and fa
 
 def system_report(series: Series, own: Sequence[Section]) -> Report:
     """The system's `own` sections, then its state and motion; sections without data are omitted."""
-    quantities = _drawn_quantities(series)
+    every = series.run.topics.estimate.quantities
+    quantities = [each for each in every if each.kind == "number" and each.symbol]
 
     def truth(name: str) -> tuple[FloatArray, FloatArray]:
         return series.truth.t, truth_of(series, name)
@@ -40,11 +40,6 @@ def system_report(series: Series, own: Sequence[Section]) -> Report:
         "Blue: valid estimate with its band; grey: invalid estimate; dashed: an emulated rig's truth.",
     )
     return assembled(series, [*own, Section("State", (state,)), Section("Motion", motion(series, _MOTION))])
-
-
-def _drawn_quantities(series: Series) -> tuple[Quantity, ...]:
-    """The quantities to draw: those with a symbol."""
-    return tuple(each for each in series.run.topics.estimate.quantities if each.kind == "number" and each.symbol)
 
 
 def truth_of(series: Series, name: str) -> FloatArray:

@@ -39,6 +39,11 @@ from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 _MAX_DISTANCE_M = 1.0
 _PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
 
+_NO_MASS = (
+    "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the inertia about"
+    " the pivot affect the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and inertia_pivot_m2 have no"
+    " value"
+)
 
 PivotLog = SystemLog[PivotRig, PivotEvent]
 """Its events are in file order."""
@@ -159,20 +164,11 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
         "moment_sd_kg_m": column(answer.moment_sd),
         "inertia_pivot_kg_m2": or_none(answer.inertia_kg),
         "inertia_pivot_sd_kg_m2": or_none(answer.inertia_kg_sd),
-        "unobservable": list(_unobservable(rig)),
+        "unobservable": [_NO_MASS] if rig.vertical == "rigid" else [],
         "trajectory": {name: column(values) for name, values in trajectory.items()} if len(answer.t) else None,
         "seconds": or_none(answer.seconds),
     }
     return with_former_names(PIVOT_RESULT, line)
-
-
-def _unobservable(rig: PivotRig) -> Iterator[str]:
-    if rig.vertical == "rigid":
-        yield (
-            "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the"
-            " inertia about the pivot affect the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
-            " inertia_pivot_m2 have no value"
-        )
 
 
 def summary(answer: PivotReconstruction) -> str:
