@@ -105,7 +105,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
                 report="palmd.report.system_report:pivot_report",
-                comparison="palmd.harness.pivot_comparison:PivotComparison",
+                comparison="palmd.harness.system_comparisons:PivotComparison",
                 shows="An arm lowers a body that turns freely in its gripper onto a pad, and moves it along the pad; "
                 "the outline is estimated where it was touched.",
                 status="palmd.cli.board:pivot_status",
@@ -128,7 +128,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.three_palms.world:ThreePalmsWorld",
                 recording="palmd.record.three_palms_run:ThreePalmsRun",
                 report="palmd.report.system_report:three_palms_report",
-                comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
+                comparison="palmd.harness.system_comparisons:ThreePalmsComparison",
                 shows="Three palms sway an unknown body until its motion is known, then roll it on to new surface. "
                 "Only touched surface is estimated.",
                 status="palmd.cli.board:three_palms_status",

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
     report(table(fit), remarks(fit))
     settings = proposed_settings(fit, config)
-    results = {"poses": fit.poses}
+    results: dict[str, float] = {"poses": fit.poses}
     for name, value in asdict(fit).items():
         if name.startswith(("tool", "span")):
             results[f"{name}_deg"] = math.degrees(value)
