@@ -14,7 +14,7 @@ from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import read_track
 from palmd.report import ground_truth_figure
-from palmd.report.camera_signals import motion_of
+from palmd.report.camera_frame import motion_of
 from palmd.report.ground_truth import compare
 
 ROOT = Path(__file__).parent.parent

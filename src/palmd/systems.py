@@ -62,7 +62,7 @@ class SystemParts:
     live: LiveParts | None = None
     """None if only logs are supported."""
     log_report: str = ""
-    """Makes the report of a reconstructed event log; empty if only recordings have one."""
+    """Makes the `palmd.report.sections.Report` of a name and a result; empty if only recordings have one."""
 
 
 SYSTEMS: Mapping[str, SystemParts] = {
@@ -104,11 +104,11 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
-                report="palmd.report.pivot_report:report_of",
-                comparison="palmd.harness.pivot_comparison:PivotComparison",
+                report="palmd.report.system_report:pivot_report",
+                comparison="palmd.harness.system_comparisons:PivotComparison",
                 shows="An arm lowers a body that turns freely in its gripper onto a pad, and moves it along the pad; "
                 "the outline is estimated where it was touched.",
-                status="palmd.cli.glance:pivot_status",
+                status="palmd.cli.board:pivot_status",
                 kernels="palmd.model.pivot:needed",
             ),
         ),
@@ -116,7 +116,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
             "three_palms",
             "three palms in space",
             log="palmd.record.systems.three_palms:SYSTEM",
-            log_report="palmd.report.command:run_body",
+            log_report="palmd.report.body_report:body_report",
             live=LiveParts(
                 manual="docs/start/three-palms.md",
                 demo="three_palms.yaml",
@@ -127,11 +127,11 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 loop="palmd.daemon.three_palms_system:ThreePalmsInSpace",
                 rig="palmd.rig.three_palms.world:ThreePalmsWorld",
                 recording="palmd.record.three_palms_run:ThreePalmsRun",
-                report="palmd.report.three_palms_report:report_of",
-                comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
+                report="palmd.report.system_report:three_palms_report",
+                comparison="palmd.harness.system_comparisons:ThreePalmsComparison",
                 shows="Three palms sway an unknown body until its motion is known, then roll it on to new surface. "
                 "Only touched surface is estimated.",
-                status="palmd.cli.glance:three_palms_status",
+                status="palmd.cli.board:three_palms_status",
                 kernels="palmd.observer.three_palms.needed:needed",
             ),
         ),

@@ -40,7 +40,7 @@ from palmd.rig.controller import Controller
 from palmd.rig.servos import make_servo_arm
 from palmd.rig.world import default_config
 from palmd.view import http_guard, wire
-from palmd.view.files import File
+from palmd.view.http_guard import File
 from palmd.yamlfile import ConfigError, load_config, load_plan
 
 BAUD = 9600

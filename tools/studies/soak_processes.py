@@ -8,7 +8,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import msgpack
@@ -56,13 +55,11 @@ class SoakProcesses(StudyProcesses):
         self._lock = threading.Lock()
         self._over = threading.Event()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._over.set()
         for visitor in self._visitors:
             visitor.join()
-        super().__exit__(kind, error, traceback)
+        super().__exit__(*error)
 
     # ---- operation ---------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from palmd.blas import one_thread
 from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.events import FloatArray
-from palmd.harness.three_palms_comparison import matrix, surface_error
+from palmd.harness.system_comparisons import matrix, surface_error
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import evaluator, order_of

@@ -19,8 +19,8 @@ from palmd.api.table import DataTable, table_of
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.outlinefile import read_library
-from palmd.record.meshfile import Mesh
 from palmd.record.recognition import Recognition, verdict
+from palmd.record.surface import Mesh
 from palmd.system.mechanism import RADII
 
 

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import yaml
@@ -50,9 +49,7 @@ class Armed:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 self._finish()
@@ -107,7 +104,7 @@ class RigMotion(Armed):
                 continue
             fields = message.fields
             self.coverage, self.reason = fields["coverage"], fields["reason"]
-            if fields["state"] == "tracking" and self._is_over():
+            if fields["state"] == "tracking" and self._rig.status()["over"]:
                 self.over = True
                 return
             if fields["state"] == "tracking":
@@ -135,9 +132,6 @@ class RigMotion(Armed):
 
     def _finish(self) -> None:
         self.wait()
-
-    def _is_over(self) -> bool:
-        return bool(self._rig.status()["over"])
 
 
 class RigJog(Armed):

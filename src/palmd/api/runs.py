@@ -42,10 +42,14 @@ class RunData:
         """Raises PalmdError for a file that is neither a recorded run nor an event log."""
         self.path = path
         with as_palmd_error():
-            self._recording = _read_run(path) if is_recording(path) else None
+            self._recording: Run | None = None
             self._system: System = system_of(None)
             self._log: Any = None
-            if self._recording is None:
+            if is_recording(path):
+                from palmd.record.run import read_run  # slow to load
+
+                self._recording = read_run(path)
+            else:
                 self._system, self._log = read_log_of_any(path)
 
     def __repr__(self) -> str:
@@ -86,7 +90,10 @@ class RunData:
         Raises PalmdError if there are none.
         """
         with as_palmd_error():
-            table = table_of(_timed(message.fields) for message in self._recorded(topic).messages(topic))
+            table = table_of(
+                {"t_s": fields["mono_ns"] * 1e-9} | fields
+                for fields in (message.fields for message in self._recorded(topic).messages(topic))
+            )
         if not table:
             raise PalmdError(f"{self.path}: holds no {topic}; its topics are {', '.join(self.topics)}")
         return table
@@ -140,16 +147,6 @@ def open(path: str | os.PathLike[str]) -> RunData:
     Raises PalmdError for an unusable file. Fast: tables are read when they are accessed.
     """
     return RunData(Path(path))
-
-
-def _read_run(path: Path) -> Run:
-    from palmd.record.run import read_run
-
-    return read_run(path)
-
-
-def _timed(fields: Fields) -> Fields:
-    return {"t_s": fields["mono_ns"] * 1e-9} | fields
 
 
 def _row(event: Event) -> Fields:

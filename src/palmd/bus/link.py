@@ -8,12 +8,11 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import zmq
 
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.keys import Credentials, KeysError, client_credentials
 
 PORT_MOST = 65535
@@ -40,10 +39,8 @@ def credentials(arguments: argparse.Namespace) -> Credentials | None:
     """The key given by the argument of `add_key`; raises CliError for an unusable key."""
     if arguments.key is None:
         return None
-    try:
+    with as_cli_error(KeysError):
         return client_credentials(arguments.key)
-    except KeysError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
 
 
 def unreachable(what: str, key: Credentials | None, key_option: str = "--key") -> CliError:
@@ -86,9 +83,7 @@ class Link:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -16,7 +16,7 @@ from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_l
 from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
-from palmd.console.errors import RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.progress import Progress
 from palmd.devices.actuator import ArmState, Pose
 from palmd.devices.armconformance_port import ArmLine
@@ -51,16 +51,18 @@ def run(arguments: argparse.Namespace) -> int:
     folder = result_folder(arguments)
     adept_arm(config)
     poses = _listen(config, arguments.seconds)
-    try:
+    with as_cli_error(TooLittleSwingError, status=RIG_FAILED, before="arm: "):
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
-    except TooLittleSwingError as error:
-        raise CliError(RIG_FAILED, f"arm: {error}") from None
     report(table(fit), remarks(fit))
     settings = proposed_settings(fit, config)
-    numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
-    results = {"poses": fit.poses} | plain({_key(name): _scaled(name, value) for name, value in numbers.items()})
+    results: dict[str, float] = {"poses": fit.poses}
+    for name, value in asdict(fit).items():
+        if name.startswith(("tool", "span")):
+            results[f"{name}_deg"] = math.degrees(value)
+        elif name != "poses":
+            results[f"{name}_mm"] = value * 1e3
     section = changed(config, settings["rig"], settings["arm"])
-    store(folder / "arm.yaml", document({"palmd_arm_calibration": FORMAT}, section, settings, results))
+    store(folder / "arm.yaml", document({"palmd_arm_calibration": FORMAT}, section, settings, plain(results)))
     print(f"{arguments.config}: write in these sections:\n{lines(settings)}")
     return 0
 
@@ -104,18 +106,6 @@ def proposed_settings(fit: LinkageFit, config: Config) -> dict[str, dict[str, fl
         },
         "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), adept_arm(config).base_yaw_deg),
     }
-
-
-def _is_angle(name: str) -> bool:
-    return name.startswith(("tool", "span"))
-
-
-def _key(name: str) -> str:
-    return f"{name}_{'deg' if _is_angle(name) else 'mm'}"
-
-
-def _scaled(name: str, value: float) -> float:
-    return math.degrees(value) if _is_angle(name) else value * 1e3
 
 
 def _listen(config: Config, seconds: float) -> list[Pose]:

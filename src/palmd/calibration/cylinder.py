@@ -136,7 +136,7 @@ def turning_plan(radius_m: float, limits: MotionLimits) -> dict[str, Any]:
     if travel < MIN_TRAVEL_M:
         raise CylinderError(_insufficient_travel(radius_m, limits, travel))
     middle = opening_at(radius_m, float(ends.mean()), limits.curvatures)
-    poses = [_upright(phi2, limits) for phi2 in (middle, high, low, middle)]
+    poses = [(_within((math.pi - phi2) / 2.0, phi2, limits), phi2) for phi2 in (middle, high, low, middle)]
     phi1, phi2 = poses[-1]
     poses += [(_within(phi1 + tip, phi2, limits), phi2) for tip in (_MIN_TIP, -_MIN_TIP, 0.0)]
     return _plan("calibrate pads", poses, limits, SLOW_RAD_S)
@@ -179,10 +179,6 @@ def opening_range(radius_m: float, limits: MotionLimits) -> tuple[float, float]:
     )
     steepest = PHI12_MAX - limits.angles[0][0] - 3.0 * _LIMIT_MARGIN
     return max(lowest, limits.angles[1][0] + _LIMIT_MARGIN), min(highest, limits.angles[1][1] - _LIMIT_MARGIN, steepest)
-
-
-def _upright(phi2: float, limits: MotionLimits) -> Angles:
-    return _within((math.pi - phi2) / 2.0, phi2, limits), phi2
 
 
 def _within(phi1: float, phi2: float, limits: MotionLimits) -> float:

@@ -6,8 +6,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,8 +18,9 @@ from palmd.calibration.files import add_config, add_output, document, plain, res
 from palmd.config.addresses import from_here
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
+from palmd.console.arguments import positive
 from palmd.console.configured import configured
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.events import Event
 from palmd.harness.operator import LEASE_S, PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
@@ -53,28 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
 
 def add_radius(parser: argparse.ArgumentParser) -> None:
     """The cylinder's radius."""
-    parser.add_argument("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
-
-
-def within(upper: float) -> Callable[[str], float]:
-    """A parser of numbers greater than 0 and at most `upper`."""
-
-    def number(text: str) -> float:
-        value = float(text)
-        if not 0.0 < value <= upper:
-            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {upper:g}, got {text}")
-        return value
-
-    return number
-
-
-@contextmanager
-def exit_on_error(status: int) -> Iterator[None]:
-    """Convert a CylinderError to the end of the command with this exit status."""
-    try:
-        yield
-    except CylinderError as error:
-        raise CliError(status, str(error)) from None
+    parser.add_argument("--radius-mm", type=positive(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
 
 
 def recorded_events(
@@ -104,11 +83,7 @@ def recorded_events(
         operation = PlanRun(
             client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s", resumes=arguments.resumes
         )
-        operation.begin(plan)
-        try:
-            status = operation.watch(stop, progress_line)
-        finally:
-            operation.end()
+        status = operation.run(plan, stop, progress_line)
         if stop.made:
             raise CliError(RIG_FAILED, f"stopped after {operation.seconds:.0f} s: nothing is stored")
         if "pads-swapped" in status["faults"]:
@@ -132,11 +107,11 @@ def turn_and_measure(
     """
     config = configured(arguments.config)
     radius_m = arguments.radius_mm * 1e-3
-    with exit_on_error(BAD_INPUT):
+    with as_cli_error(CylinderError):
         plan = turning_plan(radius_m, motion_limits(config))
     folder = result_folder(arguments)
     events = recorded_events(arguments, config, plan)
-    with exit_on_error(RIG_FAILED):
+    with as_cli_error(CylinderError, status=RIG_FAILED):
         return config, folder, measure(events, config.pads.each(), radius_m, config.rig.curvatures_per_m)
 
 

@@ -17,7 +17,7 @@ import yaml
 from palmd import __version__
 from palmd.config.any_config import config_hash
 from palmd.config.fields import Strict
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, writing
 from palmd.console.folders import is_writable_folder, nearest
 
 
@@ -86,10 +86,8 @@ def writable(folder: Path) -> Path:
 
     Nothing is created yet, so that a calibration that fails leaves nothing.
     """
-    try:
+    with writing(folder):
         there = nearest(folder)
-    except OSError as error:
-        raise not_written(folder, error) from None
     if not there.is_dir():
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
     if not is_writable_folder(there):
@@ -100,14 +98,7 @@ def writable(folder: Path) -> Path:
 def write(path: Path, content: dict[str, Any]) -> None:
     """Write a result, creating the folder if needed; an old result stays until the new one is complete. CliError."""
     partial = path.with_suffix(".tmp")
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         partial.replace(path)
-    except OSError as error:
-        raise not_written(path, error) from None
-
-
-def not_written(path: Path, error: OSError) -> CliError:
-    """The error for a file that cannot be written."""
-    return CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}")

@@ -11,11 +11,12 @@ from dataclasses import asdict
 from typing import Any
 
 from palmd.calibration import cylinder_session
-from palmd.calibration.cylinder import tipping_plan
+from palmd.calibration.cylinder import CylinderError, tipping_plan
 from palmd.calibration.files import report, result_folder
 from palmd.calibration.pad_force import MIN_ROUNDS, Forces, pad_forces
+from palmd.console.arguments import positive, whole_between
 from palmd.console.configured import configured
-from palmd.console.errors import BAD_INPUT, RIG_FAILED
+from palmd.console.errors import RIG_FAILED, as_cli_error
 from palmd.motion.check import motion_limits
 from palmd.system.mechanism import PALMS
 
@@ -35,8 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     cylinder_session.add_arguments(parser, "force.yaml")
     add = parser.add_argument
-    add("--mass-g", type=cylinder_session.within(_MAX_MASS_G), required=True, metavar="M", help="of the cylinder")
-    add("--rounds", type=_rounds, default=ROUNDS, metavar="N", help="through all poses (default: %(default)s)")
+    add("--mass-g", type=positive(_MAX_MASS_G), required=True, metavar="M", help="of the cylinder")
+    add("--rounds", type=whole_between(MIN_ROUNDS, _MOST_ROUNDS), default=ROUNDS, metavar="N",
+        help="through all poses (default: %(default)s)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,11 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     config, radius_m = configured(arguments.config), arguments.radius_mm * 1e-3
     limits = motion_limits(config)
     weight_n = arguments.mass_g * 1e-3 * config.rig.gravity_m_s2
-    with cylinder_session.exit_on_error(BAD_INPUT):
+    with as_cli_error(CylinderError):
         plan, rests = tipping_plan(radius_m, limits, arguments.rounds)
     folder = result_folder(arguments)
     events = cylinder_session.recorded_events(arguments, config, plan)
-    with cylinder_session.exit_on_error(RIG_FAILED):
+    with as_cli_error(CylinderError, status=RIG_FAILED):
         found = pad_forces(
             events, config.pads.each(), weight_n, rests, radius_m=radius_m, curvatures=config.rig.curvatures_per_m
         )
@@ -98,10 +100,3 @@ def proposed_settings(found: Forces) -> dict[str, dict[str, Any]]:
         f"palm{number}": {"newtons_per_count": round(pad.newtons_per_count, 5)}
         for number, pad in zip(PALMS, found.pads, strict=True)
     }
-
-
-def _rounds(text: str) -> int:
-    value = int(text)
-    if not MIN_ROUNDS <= value <= _MOST_ROUNDS:
-        raise argparse.ArgumentTypeError(f"must be {MIN_ROUNDS} to {_MOST_ROUNDS}, got {text}")
-    return value

@@ -28,8 +28,9 @@ from palmd.calibration.rolling_fit import (
 )
 from palmd.calibration.rolling_session import RollingSession, slopes_within
 from palmd.config.two_palms import Config
+from palmd.console.arguments import between, whole_between
 from palmd.console.configured import with_flat_palms
-from palmd.console.errors import RIG_FAILED, CliError
+from palmd.console.errors import RIG_FAILED, as_cli_error
 from palmd.harness.processes import StopRequest
 from palmd.quantities import EVENTS, INFO
 
@@ -43,9 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "the configuration that the daemon runs with, palmd.yaml")
     add = parser.add_argument
     add("--roller", choices=INERTIA, default="ball", help="what rolls; a cylinder must be solid (default: %(default)s)")
-    add("--rolls", type=_rolls, default=40, metavar="N",
+    add("--rolls", type=whole_between(MIN_ROLLS_PER_PALM, 1000), default=40, metavar="N",
         help="on each steep slope, a third of it on each gentle one (default: %(default)s)")  # fmt: skip
-    add("--clear", type=_clear, default=3.0, metavar="S",
+    add("--clear", type=between(0.2, 30.0, " s"), default=3.0, metavar="S",
         help="how long both pads must be free before the palms move (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
@@ -74,10 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
             session.is_complete = True
         finally:
             session.end()
-    try:
+    with as_cli_error(TooFewRollsError, status=RIG_FAILED, before="gravity: "):
         fit = fit_gravity(session.rolls, arguments.roller)
-    except TooFewRollsError as error:
-        raise CliError(RIG_FAILED, f"gravity: {error}") from None
     kind = arguments.roller
     report(table(fit, kind, session.too_short, session.not_smooth), remarks(fit, kind))
     settings = proposed_settings(fit, config)
@@ -165,17 +164,3 @@ def proposed_settings(fit: GravityFit, config: Config) -> dict[str, dict[str, fl
         "rig": {"gravity_m_s2": round(fit.g, 4)},
         "arm": {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg},
     }
-
-
-def _rolls(text: str) -> int:
-    value = int(text)
-    if not MIN_ROLLS_PER_PALM <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"must be {MIN_ROLLS_PER_PALM} to 1000, got {text}")
-    return value
-
-
-def _clear(text: str) -> float:
-    value = float(text)
-    if not 0.2 <= value <= 30.0:
-        raise argparse.ArgumentTypeError(f"must be 0.2 to 30 s, got {text}")
-    return value

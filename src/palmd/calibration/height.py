@@ -18,7 +18,7 @@ from palmd.calibration.files import add_config, add_output, document, plain, rep
 from palmd.calibration.pivot_height import HeightError, PivotHeight, pivot_height
 from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.console.configured import any_configured
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error
 from palmd.events import Event
 from palmd.observer.pivot.incremental import as_fed
 from palmd.record import RunError, is_recording
@@ -50,10 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{arguments.config}: is not of a pivoting grasp; two palms have no pivot")
     folder = result_folder(arguments)
     events = _events(arguments.run, arguments.config, config)
-    try:
+    with as_cli_error(HeightError, before=f"{arguments.run}: "):
         found = pivot_height(events, pivot_rig(config), arguments.radius_mm * 1e-3)
-    except HeightError as error:
-        raise CliError(BAD_INPUT, f"{arguments.run}: {error}") from None
     report(table(found), remarks(found))
     settings = proposed_settings(found, config)
     header = {"palmd_height": FORMAT, "radius_mm": arguments.radius_mm}
@@ -97,7 +95,7 @@ def proposed_settings(found: PivotHeight, config: PivotConfig) -> dict[str, Any]
 
 def _events(path: Path, config_path: Path, config: PivotConfig) -> list[Event]:
     """The events of a run; CliError for another system, or if it was recorded with another base of the arm."""
-    try:
+    with as_cli_error(LogError, RunError):
         if not is_recording(path):
             system, log = read_log_of_any(path)
             system_name, events = system.name, [as_fed(event) for event in log.events] if system.name == SYSTEM else []
@@ -105,8 +103,6 @@ def _events(path: Path, config_path: Path, config: PivotConfig) -> list[Event]:
             recording = read_any_run(path)
             system_name = recording.system
             events = [event for tick in recording.ticks() for event in tick.events] if system_name == SYSTEM else []
-    except (LogError, RunError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if system_name != SYSTEM:
         raise CliError(BAD_INPUT, f"{path}: is not of a pivoting grasp")
     if is_recording(path):

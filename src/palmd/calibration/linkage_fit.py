@@ -12,7 +12,7 @@ Five unknowns: B (two), L1, L2, τ. Squared, with p = L2·cos τ and q = L2·sin
     |E|² = 2p·E·u(θ) + 2q·E·u(θ + π/2) + 2·B·E − 2m·cos θ − 2n·sin θ − c                                    (2)
     m = p·Bx + q·By,   n = p·By − q·Bx,   c = L2² + |B|² − L1²
 
-which gives a start without prior knowledge; Gauss–Newton on (1) then finds the least squares. Nothing here depends on
+which gives a start without prior knowledge; (1) then determines the least squares. Nothing here depends on
 the arm's orientation in the world: the chain does not determine the arm's yaw.
 
 If one of the palms or the opening between them does not move, E is fixed on a body that turns about P:
@@ -26,9 +26,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from palmd.calibration.solving import solved
 from palmd.events import FloatArray
 
 MIN_POSES = 50
@@ -39,9 +41,6 @@ MIN_NOISE = 1e-5
 """m: lower bound of an arm's noise, even if the poses fit better."""
 MAX_LENGTH_SD = 2e-4
 """m: largest accepted 1σ of a length."""
-
-_ROUNDS = 50
-_CONVERGED = 1e-12
 
 
 class TooLittleSwingError(ValueError):
@@ -88,20 +87,13 @@ def fit_linkage(poses: FloatArray) -> LinkageFit:
             "the arm turned about one point, as if one palm stood still or both moved together:"
             " swing both palms, each against the other"
         )
-    x = _linear_start(poses)
-    for _ in range(_ROUNDS):
-        residuals, jacobian = _residuals(poses, x), _jacobian(poses, x)
-        step = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
-        x = x + step
-        if float(np.abs(step).max()) < _CONVERGED:
-            break
-    residuals = _residuals(poses, x)
+    fit = solved(partial(_residuals, poses), _linear_start(poses))
+    x, residuals, jacobian = fit.x, fit.fun, fit.jac
     rms = math.sqrt(float(residuals @ residuals) / (len(residuals) - 5))
     span1, span2, span_opening = _spans(poses, x)
     for what, span in (("palm 1", span1), ("the opening between the palms", span_opening)):
         if span < MIN_SPAN:
             raise _too_small(what, span)
-    jacobian = _jacobian(poses, x)
     sd = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * max(rms, MIN_NOISE)
     if not (np.isfinite(x).all() and float(sd[:4].max()) < MAX_LENGTH_SD):
         raise TooLittleSwingError(
@@ -153,16 +145,6 @@ def _residuals(poses: FloatArray, x: FloatArray) -> FloatArray:
     """Left minus right side of (1), m."""
     dx, dy = _hinge_from_base(poses, x)
     return np.asarray(np.hypot(dx, dy) - x[2])
-
-
-def _jacobian(poses: FloatArray, x: FloatArray) -> FloatArray:
-    """Derivatives of the residuals with respect to (Bx, By, L1, L2, τ)."""
-    dx, dy = _hinge_from_base(poses, x)
-    distance = np.hypot(dx, dy)
-    nx, ny = dx / distance, dy / distance
-    angle = poses[:, 2] + x[4]
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([-nx, -ny, -np.ones_like(nx), -(nx * c + ny * s), x[3] * (nx * s - ny * c)], axis=1)
 
 
 def _spans(poses: FloatArray, x: FloatArray) -> tuple[float, float, float]:

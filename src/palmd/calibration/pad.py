@@ -10,27 +10,18 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from palmd.calibration.files import (
-    add_config,
-    add_output,
-    document,
-    not_written,
-    plain,
-    report,
-    result_folder,
-    write,
-)
+from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config.pads import PadConfig
 from palmd.console.arguments import seconds_within
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.configured import configured
+from palmd.console.errors import RIG_FAILED, CliError, as_cli_error, writing
 from palmd.console.extras import drawing
 from palmd.console.progress import Progress
 from palmd.devices.pad import PadReport
 from palmd.devices.padlistener import PadListener
 from palmd.devices.port import PortUnavailableError, PortWaiter
 from palmd.system.mechanism import PALMS
-from palmd.yamlfile import ConfigError, load_config
 
 FIRST_TOUCH_S = 15.0
 """Longest time that the pad may remain untouched at the beginning."""
@@ -55,13 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the pad is measured; CliError if the input is wrong or the reports do not suffice."""
     name = f"pad{arguments.pad}"
-    config = _pad_config(arguments.config, arguments.pad)
+    config = configured(arguments.config).pads.of(arguments.pad)
     folder = result_folder(arguments)
     packets, counts = _listen(arguments.pad, config, arguments.seconds)
-    try:
+    with as_cli_error(TooFewReportsError, status=RIG_FAILED, before=f"{name}: "):
         found = characterise(packets, counts, config)
-    except TooFewReportsError as error:
-        raise CliError(RIG_FAILED, f"{name}: {error}") from None
     report(table(name, found, config), remarks(name, found, config))
     settings, result = {"noise_mm": noise_mm(found, config)}, folder / f"{name}.yaml"
     header, section = {"palmd_pad_characteristic": FORMAT}, config.model_copy(update=settings)
@@ -118,32 +107,25 @@ def _axis_row(axis: AxisCharacteristic) -> str:
     )
 
 
-def _pad_config(path: Path, pad: int) -> PadConfig:
-    try:
-        pads = load_config(path).pads
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
-    return pads.of(pad)
-
-
 def _listen(number: int, config: PadConfig, seconds: float) -> tuple[list[PadReport], dict[str, int]]:
     """All reports from the first on, and the driver's counters; CliError if the port fails or there is no touch."""
     name, packets = f"pad{number}", list[PadReport]()
-    try:
-        with PadListener(number, config) as listener, Progress(name, math.ceil(seconds), "s") as progress:
-            waiter = PortWaiter([listener.port])
-            print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+    with (
+        as_cli_error(PortUnavailableError, status=RIG_FAILED),
+        PadListener(number, config) as listener,
+        Progress(name, math.ceil(seconds), "s") as progress,
+    ):
+        waiter = PortWaiter([listener.port])
+        print(f"{name}: roll a marble over the whole pad, slowly and fast; lift it now and then", file=sys.stderr)
+        t = time.monotonic()
+        t_begin, t_end = math.inf, t + FIRST_TOUCH_S
+        while t < t_end:
+            waiter.wait(min(t + _LOOK_S, t_end))
+            packets += listener.read()
             t = time.monotonic()
-            t_begin, t_end = math.inf, t + FIRST_TOUCH_S
-            while t < t_end:
-                waiter.wait(min(t + _LOOK_S, t_end))
-                packets += listener.read()
-                t = time.monotonic()
-                if math.isinf(t_begin) and any(packet.in_use for packet in packets):
-                    t_begin, t_end = t, t + seconds
-                progress.at(int(max(t - t_begin, 0.0)))
-    except PortUnavailableError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
+            if math.isinf(t_begin) and any(packet.in_use for packet in packets):
+                t_begin, t_end = t, t + seconds
+            progress.at(int(max(t - t_begin, 0.0)))
     if not math.isinf(t_begin):
         return packets, listener.driver.counts()
     if listener.driver.diagnosis is not None:
@@ -158,8 +140,6 @@ def _draw(packets: list[PadReport], found: PadCharacteristic, config: PadConfig,
     figure = drawing("palmd.calibration.pad_figure")
     if figure is None:
         return []
-    try:
+    with writing(path):
         figure.save(packets, found, config, path)
-    except OSError as error:
-        raise not_written(path, error) from None
     return [path]

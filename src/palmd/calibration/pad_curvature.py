@@ -3,8 +3,8 @@
 On curved palms the cylinder touches both at places that follow from φ2, R and both curvatures
 (`calibration.cylinder:contacts_m`), and each pad reads counts = sign · counts_per_mm · (s − zero_mm). The nonlinearity
 of counts over φ2 determines the curvatures, and the zeros as well; counts_per_mm must be known already (`palmd
-calibrate pad`), because a larger scale has nearly the same effect as a less concave palm. Solved by Gauss–Newton in
-(κ1, κ2, zero 1, zero 2) together.
+calibrate pad`), because a larger scale has nearly the same effect as a less concave palm. All four unknowns are solved
+together.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import approx_fprime
 
 from palmd.calibration.cylinder import MIN_TRAVEL_M, CylinderError, contacts_m, inliers, readings
 from palmd.calibration.pad_scale import slow_readings
+from palmd.calibration.solving import solved
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
@@ -29,10 +31,8 @@ SCALE_SD = 3e-3
 MAX_CURVATURE = 25.0
 """1/m: limit of the search."""
 
-_ROUNDS, _CONVERGED = 30, 1e-6  # 1/m
-_LONGEST_STEP = 3.0  # 1/m
 _MIN_START = 1e-3  # 1/m: start for flat palms, where differences would vanish
-_STEPS = (1e-2, 1e-2, 1e-6, 1e-6)  # of finite differences: 1/m, m
+_STEPS = (1e-3, 1e-3, 1e-6, 1e-6)  # of finite differences: 1/m, m
 _MAX_RESIDUAL_M = 5e-4  # standard deviation beyond which the counts do not follow any arc
 
 
@@ -94,32 +94,16 @@ def _residuals(
     return [read - predicted for read, predicted in zip(s, _model(x, opening, radius_m), strict=True)]
 
 
-def _gradient(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:
-    columns = []
-    for step, unit in zip(_STEPS, np.eye(len(x)), strict=True):
-        plus, minus = (_model(x + sign * step * unit, opening, radius_m) for sign in (1.0, -1.0))
-        columns.append([(a - b) / (2 * step) for a, b in zip(plus, minus, strict=True)])
-    return [np.stack([column[i] for column in columns], axis=1) for i in range(len(opening))]
-
-
 def _solve(
     x: FloatArray, opening: Sequence[FloatArray], s: Sequence[FloatArray], kept: Sequence[Bools], radius_m: float
 ) -> FloatArray:
-    for _ in range(_ROUNDS):
-        rows = np.concatenate(
-            [each[selected] for each, selected in zip(_gradient(x, opening, radius_m), kept, strict=True)]
-        )
-        residuals = np.concatenate(
-            [each[selected] for each, selected in zip(_residuals(x, opening, s, radius_m), kept, strict=True)]
-        )
-        step = np.linalg.lstsq(rows, residuals, rcond=None)[0]
-        step *= min(1.0, _LONGEST_STEP / np.abs(step[:2]).max())
-        x = x + step
-        if np.abs(x[:2]).max() > MAX_CURVATURE:
-            break
-        if np.abs(step[:2]).max() < _CONVERGED:
-            return np.asarray(x)
-    raise CylinderError("no pair of arcs explains the readings: is the radius right, and the pads' counts_per_mm?")
+    selected, most = np.concatenate(kept), np.array([MAX_CURVATURE, MAX_CURVATURE, np.inf, np.inf])
+    found = solved(
+        lambda x: np.concatenate(_residuals(x, opening, s, radius_m))[selected], x, jac="3-point", bounds=(-most, most)
+    )
+    if not found.success or found.active_mask.any():
+        raise CylinderError("no pair of arcs explains the readings: is the radius right, and the pads' counts_per_mm?")
+    return np.asarray(found.x)
 
 
 def _results(
@@ -131,8 +115,8 @@ def _results(
     radius_m: float,
 ) -> tuple[PadCurvature, PadCurvature]:
     noise = [math.sqrt(float(np.mean(each[selected] ** 2))) for each, selected in zip(residuals, kept, strict=True)]
-    gradients = _gradient(x, opening, radius_m)
-    rows = np.concatenate([each[selected] / sd for each, selected, sd in zip(gradients, kept, noise, strict=True)])
+    gradient = approx_fprime(x, lambda x: np.concatenate(_model(x, opening, radius_m)), _STEPS)[np.concatenate(kept)]
+    rows = gradient / np.repeat(noise, [selected.sum() for selected in kept])[:, None]
     covariance, shifts = np.linalg.inv(rows.T @ rows), []
     for own in range(len(PALMS)):  # a scale error changes that pad's readings in proportion
         change = [

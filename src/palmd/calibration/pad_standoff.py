@@ -6,8 +6,8 @@ A disc of radius R between flat surfaces that lie d1 and d2 above the hinge line
 
 and palm 2 with the two exchanged: one cylinder determines the product of R + d and the pad's scale, and a second,
 smaller one separates them. Besides zero, scale and standoff of each pad the fit has further parameters, with the
-configured 1σ as priors: bow, displacement by the force, the palm angle φ2, and the radii. Solved by Gauss–Newton over
-both pads and both cylinders together.
+configured 1σ as priors: bow, displacement by the force, the palm angle φ2, and the radii. Both pads and both cylinders
+are solved together.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from palmd.calibration.cylinder import CylinderError, CylinderReadings, inliers, readings
 from palmd.calibration.pad_scale import PadScaleResult, is_slow, pad_scales
+from palmd.calibration.solving import solved
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
@@ -30,8 +31,6 @@ MIN_RATIO = 1.3
 RADIUS_SD_MM = 0.01
 """1σ of a measured radius."""
 
-_ROUNDS, _CONVERGED_MM = 20, 1e-7
-_STEP = 1e-4  # of finite differences, in mm, shares, rad
 _BOW_ROUNDS = 3  # iterations for the contact and the slope on a bowed pad
 
 Bools = npt.NDArray[np.bool_]
@@ -180,18 +179,10 @@ def _solve(
     def weighted(each: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([part[selected] / sd for part, selected, sd in zip(each, kept, noise_mm, strict=True)])
 
-    for _ in range(_ROUNDS):
-        columns = []
-        for unit in _STEP * np.eye(len(x)):
-            sides = (_model(x + sign * unit, prepared, configs) for sign in (1.0, -1.0))
-            columns.append(weighted([(a - b) / (2 * _STEP) for a, b in zip(*sides, strict=True)]))
-        rows = np.stack(columns, axis=1)
-        information = rows.T @ rows + np.diag(prior_sd**-2)
-        step = np.linalg.solve(information, rows.T @ weighted(_residuals(x, prepared, configs)) - x * prior_sd**-2)
-        x = x + step
-        if np.abs(step).max() < _CONVERGED_MM:
-            return x, np.asarray(np.linalg.inv(information), dtype=np.float64)
-    raise CylinderError("no standoff explains the readings: check the radii and the order of the cylinders")
+    found = solved(lambda x: np.concatenate([weighted(_residuals(x, prepared, configs)), x / prior_sd]), x)
+    if not found.success:
+        raise CylinderError("no standoff explains the readings: check the radii and the order of the cylinders")
+    return found.x, np.linalg.inv(found.jac.T @ found.jac)
 
 
 def _result(

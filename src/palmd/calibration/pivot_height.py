@@ -6,8 +6,8 @@ and height z = h_P lie on a circle,
     (e − along)² + (z − height − R)² = b²,
 
 whose centre would be at (0, R) without errors of the position. The result does not depend on force, friction or the
-cylinder's rotation. Solved by Gauss–Newton in (height, along, b) and in further parameters with priors from the
-configuration: the pad's scale, its slope along the arm's x, its bow, and its lag.
+cylinder's rotation. Solved for (height, along, b) and for further parameters with priors from the configuration: the
+pad's scale, its slope along the arm's x, its bow, and its lag.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.calibration.cylinder import inliers
+from palmd.calibration.solving import solved
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.system.pivot import PivotRig
 
@@ -28,8 +29,6 @@ MIN_READINGS = 200
 MIN_HEIGHT_RANGE_M = 1e-3
 MAX_SD_M = 5e-5  # of the height, beyond which there is no result
 MAX_RESIDUAL_RATIO = 2.0  # RMS residual over the readings' noise
-_STEPS = np.array([1e-7, 1e-7, 1e-7, 1e-5, 1e-6, 1e-7, 1e-5])  # of finite differences
-_ROUNDS, _CONVERGED_M = 30, 1e-8
 _TRIMMING_ROUNDS, _MIN_SCALE_M = 5, 1e-4  # rounds without outliers, and the smallest scale of deviations for them
 _NEAR_M = 1e-3  # lever arm below which the contact's speed is damped towards zero
 
@@ -90,7 +89,7 @@ def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> Piv
     prior = np.array([np.inf] * 3 + [rig.pad.scale_sd, rig.angle_sd, rig.pad.sagitta_sd, rig.pad.lag_sd])
     x, kept = _initial_circle(readings, radius_m, len(prior))
     for _ in range(2):
-        x = _solve(x, readings.select(kept), rig, radius_m, prior)
+        x, sd = _solve(x, readings.select(kept), rig, radius_m, prior)
         kept = inliers(_residuals(x, readings, rig, radius_m), min_scale=1.0)
     residual_rms = math.sqrt(float(np.mean(_residuals(x, readings.select(kept), rig, radius_m) ** 2)))
     if not residual_rms < MAX_RESIDUAL_RATIO:
@@ -98,7 +97,7 @@ def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> Piv
             f"the readings fit no cylinder (residual {residual_rms:.1f} times their noise): is it round, does it turn"
             " in the pivot only, and is the pad's counts_per_mm right?"
         )
-    sd = _sd(x, readings.select(kept), rig, radius_m, prior) * max(residual_rms, 1.0)
+    sd = sd * max(residual_rms, 1.0)
     if not sd[0] < MAX_SD_M:
         raise HeightError(
             f"the height is uncertain by {sd[0] * 1e6:.0f} µm: let the cylinder turn further, on both sides of the"
@@ -161,40 +160,23 @@ def _residuals(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m
     return np.asarray((distance - b) / sigma)
 
 
-def _gradient(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float) -> FloatArray:
-    columns = [
-        (_residuals(x + step, readings, rig, radius_m) - _residuals(x - step, readings, rig, radius_m))
-        / (2 * step.max())
-        for step in np.diag(_STEPS)
-    ]
-    return np.stack(columns, axis=1)
-
-
-def _solve(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
-    free = prior > 0.0  # exactly known parameters stay
-    for _ in range(_ROUNDS):
-        rows, residuals = _with_prior(x, readings, rig, radius_m, prior)
-        step = np.zeros_like(x)
-        step[free] = -np.linalg.lstsq(rows[:, free], residuals, rcond=None)[0]
-        x = x + step
-        if not np.isfinite(x).all():
-            break
-        if np.abs(step[:3]).max() < _CONVERGED_M:
-            return x
-    raise HeightError("no circle explains the readings: does the cylinder turn freely in the gripper?")
-
-
-def _with_prior(
+def _solve(
     x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    known = np.where((prior > 0.0) & np.isfinite(prior), 1.0 / np.maximum(prior, 1e-12), 0.0)
-    rows = np.vstack([_gradient(x, readings, rig, radius_m), np.diag(known)])
-    return rows, np.concatenate([_residuals(x, readings, rig, radius_m), known * x])
-
-
-def _sd(x: FloatArray, readings: _HeightReadings, rig: PivotRig, radius_m: float, prior: FloatArray) -> FloatArray:
+    """The parameters and their 1σ; exactly known parameters stay."""
     free = prior > 0.0
-    rows, _ = _with_prior(x, readings, rig, radius_m, prior)
+
+    def complete(values: FloatArray) -> FloatArray:
+        whole = x.copy()
+        whole[free] = values
+        return whole
+
+    found = solved(
+        lambda values: np.concatenate([_residuals(complete(values), readings, rig, radius_m), values / prior[free]]),
+        x[free],
+    )
+    if not found.success:
+        raise HeightError("no circle explains the readings: does the cylinder turn freely in the gripper?")
     sd = np.zeros_like(x)
-    sd[free] = np.sqrt(np.diag(np.linalg.inv(rows[:, free].T @ rows[:, free])))
-    return sd
+    sd[free] = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    return complete(found.x), sd

@@ -10,7 +10,7 @@ the angle by which the true palm angles exceed the daemon's: the error of the ar
 for small φ1 and palm 2 for φ12 near 180°, where sin(φ + δ) decreases with δ: this distinguishes δ from g. The influence
 of the resistance decreases with the slope: several slopes distinguish it from g.
 
-Each roll is fitted by s(t) = s0 + v·t + a·t²/2 (2), for any initial push, and (1) to all values of a by Gauss–Newton.
+Each roll is fitted by s(t) = s0 + v·t + a·t²/2 (2), for any initial push, and (1) to all values of a by least squares.
 Outliers of both fits are left out and counted.
 """
 
@@ -20,11 +20,13 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
+from palmd.calibration.solving import solved
 from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample
 from palmd.system.mechanism import PALMS, directions
 
@@ -171,8 +173,8 @@ def fit_gravity(rolls: Sequence[Acceleration], kind: RollerKind) -> GravityFit:
     selected = np.ones(len(rolls), dtype=bool)
     x = np.array([9.81, 0.0, 0.0])
     for _ in range(_ROUNDS):
-        x = _solved(phi[selected], a[selected], sd[selected], INERTIA[kind], x)
-        residuals = (a - _model(phi, INERTIA[kind], x)) / sd
+        fit = solved(partial(_misfits, phi[selected], a[selected], sd[selected], INERTIA[kind]), x)
+        x, residuals = fit.x, _misfits(phi, a, sd, INERTIA[kind], fit.x)
         spread = max(1.4826 * float(np.median(np.abs(residuals[selected]))), 1.0)
         is_inlier = np.abs(residuals) < _ROLL_OUTLIER_LIMIT * spread
         if (is_inlier == selected).all():
@@ -181,8 +183,7 @@ def fit_gravity(rolls: Sequence[Acceleration], kind: RollerKind) -> GravityFit:
     used = tuple(roll for roll, keep in zip(rolls, selected, strict=True) if keep)
     _require_enough_rolls(used)
     scatter = math.sqrt(float(residuals[selected] @ residuals[selected]) / (len(used) - 3))
-    weighted = _jacobian(phi[selected], INERTIA[kind], x) / sd[selected, None]
-    sds = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted))) * max(scatter, 1.0)
+    sds = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))) * max(scatter, 1.0)
     (g, delta, resistance), (g_sd, delta_sd, resistance_sd) = map(float, x), map(float, sds)
     return GravityFit(
         g, delta, resistance, g_sd, delta_sd, resistance_sd, scatter, used, inconsistent=len(rolls) - len(used)
@@ -265,18 +266,5 @@ def _model(phi: FloatArray, inertia: float, x: FloatArray) -> FloatArray:
     return np.asarray(-g / inertia * (np.sin(phi + delta) - mu * np.abs(np.cos(phi + delta))))
 
 
-def _jacobian(phi: FloatArray, inertia: float, x: FloatArray) -> FloatArray:
-    g, delta, mu = x
-    s, c = np.sin(phi + delta), np.cos(phi + delta)
-    along = np.sign(c)
-    return np.stack([-(s - mu * np.abs(c)), -g * (c + mu * along * s), g * np.abs(c)], axis=1) / inertia
-
-
-def _solved(phi: FloatArray, a: FloatArray, sd: FloatArray, inertia: float, x: FloatArray) -> FloatArray:
-    for _ in range(_ROUNDS):
-        residuals = (a - _model(phi, inertia, x)) / sd
-        step = np.linalg.lstsq(_jacobian(phi, inertia, x) / sd[:, None], residuals, rcond=None)[0]
-        x = x + step
-        if float(np.abs(step).max()) < 1e-12:
-            break
-    return x
+def _misfits(phi: FloatArray, a: FloatArray, sd: FloatArray, inertia: float, x: FloatArray) -> FloatArray:
+    return np.asarray((a - _model(phi, inertia, x)) / sd)

@@ -25,7 +25,7 @@ from palmd.config.arms import ServosConfig
 from palmd.config.two_palms import Config, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error
 from palmd.events import FloatArray
 from palmd.model.smoothing import R
 from palmd.observer.criticism import RigBelief, criticised
@@ -216,11 +216,9 @@ def _rounded_up(sd: float) -> float:
 
 def _read(path: Path, config_path: Path, config: Config) -> EventLog:
     """A run as an event log; CliError if it cannot be used, or was recorded with another configuration."""
-    try:
+    with as_cli_error(LogError, RunError):
         recording = read_run(path) if is_recording(path) else None
         log = read_log(path) if recording is None else recording.event_log()
-    except (LogError, RunError) as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     recorded = _reading_description(log.rig) if recording is None else _reading_settings(recording.config)
     configured = _reading_description(rig_description(config)) if recording is None else _reading_settings(config)
     for key, value in recorded.items():

@@ -14,19 +14,18 @@ from functools import partial
 from typing import Any
 
 from palmd.calibration import cylinder_session
-from palmd.calibration.cylinder import turning_plan
+from palmd.calibration.cylinder import CylinderError, turning_plan
 from palmd.calibration.cylinder_session import (
-    exit_on_error,
     recorded_events,
     store_result,
     wait_until_removed,
-    within,
 )
 from palmd.calibration.files import report, result_folder
 from palmd.calibration.pad_standoff import MIN_RATIO, PadStandoff, pad_standoffs
 from palmd.config.two_palms import Config
+from palmd.console.arguments import positive
 from palmd.console.configured import with_flat_palms
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.motion.check import motion_limits
 from palmd.system.mechanism import PALMS
 
@@ -39,7 +38,9 @@ _MAX_NOISE_RATIO = 3.0  # of the residuals to the pad's noise
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     cylinder_session.add_arguments(parser, FILE)
-    parser.add_argument("--second-radius-mm", type=within(1000.0), required=True, metavar="R", help="of the second one")
+    parser.add_argument(
+        "--second-radius-mm", type=positive(1000.0), required=True, metavar="R", help="of the second one"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -58,25 +59,22 @@ def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], Non
             f"cylinders of {radii_mm[0]:g} and {radii_mm[1]:g} mm radius are too similar: one radius must be at least"
             f" {MIN_RATIO:g} times the other",
         )
-    with exit_on_error(BAD_INPUT):
+    with as_cli_error(CylinderError):
         plans = [turning_plan(radius_mm * 1e-3, motion_limits(config)) for radius_mm in radii_mm]
     folder = result_folder(arguments)
     names = [f"the cylinder of {radius_mm:g} mm radius" for radius_mm in radii_mm]
     sessions = [recorded_events(arguments, config, plans[0], cylinder=names[0])]
     exchange(config, names[0])
     sessions.append(recorded_events(arguments, config, plans[1], cylinder=names[1]))
+    # of the constant itself, and of the play between each palm and its actuator
+    opening_sd_deg = math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
     radii_m = (radii_mm[0] * 1e-3, radii_mm[1] * 1e-3)
-    with exit_on_error(RIG_FAILED):
-        found = pad_standoffs(sessions, config.pads.each(), radii_m, math.radians(_opening_sd_deg(config)))
+    with as_cli_error(CylinderError, status=RIG_FAILED):
+        found = pad_standoffs(sessions, config.pads.each(), radii_m, math.radians(opening_sd_deg))
     report(table(found), remarks(found, config))
     results = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
     kind = {"palmd_standoff": FORMAT, "radius_mm": radii_mm[0], "second_radius_mm": radii_mm[1]}
     store_result(folder / FILE, kind, arguments, config, proposed_settings(found), results)
-
-
-def _opening_sd_deg(config: Config) -> float:
-    """1σ of φ2: of the constant itself, and of the play between each palm and its actuator."""
-    return math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
 
 
 def table(found: Sequence[PadStandoff]) -> str:

@@ -11,11 +11,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from palmd.calibration.cylinder_session import within
 from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, store
 from palmd.calibration.linkage import found
 from palmd.config.any_config import AnyConfig
 from palmd.config.vibration import MOST_HZ, VibrationConfig, vibration_of
+from palmd.console.arguments import positive
 from palmd.console.configured import any_configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.motion.shaking import shaking_of
@@ -31,12 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add_config(parser, "the configuration of the rig, palmd.yaml")
     add = parser.add_argument
-    add("--acceleration-m-s2", type=within(_MOST_M_S2), required=True, metavar="A",
+    add("--acceleration-m-s2", type=positive(_MOST_M_S2), required=True, metavar="A",
         help="amplitude (peak, not RMS) of the pad's acceleration along the palm")  # fmt: skip
-    add("--acceleration-sd-m-s2", type=within(_MOST_M_S2), required=True, metavar="SD",
+    add("--acceleration-sd-m-s2", type=positive(_MOST_M_S2), required=True, metavar="SD",
         help="one standard deviation of it; includes the difference between the palms")  # fmt: skip
-    add("--frequency-hz", type=within(MOST_HZ), required=True, metavar="F", help="of the vibration")
-    add("--frequency-sd-hz", type=within(MOST_HZ), metavar="SD",
+    add("--frequency-hz", type=positive(MOST_HZ), required=True, metavar="F", help="of the vibration")
+    add("--frequency-sd-hz", type=positive(MOST_HZ), metavar="SD",
         help="one standard deviation of it (default: known exactly)")  # fmt: skip
     add_output(parser, FILE)
 

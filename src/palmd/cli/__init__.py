@@ -7,7 +7,7 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 
 from palmd import __version__, blas
@@ -67,7 +67,7 @@ def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
     command, words = subcommands()[chosen.command], chosen.arguments
     names = subcommands(command.name)
     if command.module is None:
-        chosen = _group_parser(command).parse_args(words)
+        chosen = _selecting(f"palmd {command.name}", command.help, "name", names).parse_args(words)
         command, words = names[chosen.name], chosen.arguments
     elif words and words[0] in names:
         command, words = names[words[0]], words[1:]
@@ -105,31 +105,25 @@ def _start_logging() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="palmd",
-        description="An unknown planar object on two touchpad palms, reconstructed live.",
-        epilog="commands:\n"
-        + listing(subcommands())
-        + "\n\nexit status: 0 success, 1 the input is wrong, 2 usage, 3 the rig failed",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    status = "\n\nexit status: 0 success, 1 the input is wrong, 2 usage, 3 the rig failed"
+    description = "An unknown planar object on two touchpad palms, reconstructed live."
+    parser = _selecting("palmd", description, "command", subcommands(), status)
     parser.add_argument("--version", action="version", version=f"palmd {__version__}")
-    parser.add_argument(
-        "command", metavar="COMMAND", nargs="?", type=one_of(subcommands()), help="one of the commands below"
-    )
-    parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER, help="see: palmd COMMAND --help")
     return parser
 
 
-def _group_parser(command: Command) -> argparse.ArgumentParser:
-    """Parser of a command group, which selects one of its commands."""
-    names = subcommands(command.name)
+def _selecting(
+    program: str, description: str, what: str, names: Mapping[str, Command], end: str = ""
+) -> argparse.ArgumentParser:
+    """Parser that selects one of the commands `names` and leaves its arguments."""
     parser = Parser(
-        prog=f"palmd {command.name}",
-        description=command.help,
-        epilog="names:\n" + listing(names),
+        prog=program,
+        description=description,
+        epilog=f"{what}s:\n{listing(names)}{end}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("name", metavar="NAME", type=one_of(names), help="one of the names below")
-    parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER, help=f"see: {parser.prog} NAME --help")
+    nargs = "?" if what == "command" else None
+    parser.add_argument(what, metavar=what.upper(), nargs=nargs, type=one_of(names), help=f"one of the {what}s below")
+    parser.add_argument("arguments", metavar="…", nargs=argparse.REMAINDER,
+                        help=f"see: {program} {what.upper()} --help")  # fmt: skip
     return parser

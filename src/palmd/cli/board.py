@@ -1,4 +1,4 @@
-"""The last messages of a daemon, formatted for a terminal. Pure."""
+"""The last messages of a daemon, and the status of every system, formatted for a terminal. Pure."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from typing import Any, Literal
 
 from palmd.bus.subscriber import Message
 from palmd.messages import entries_of
+from palmd.pivot_quantities import PIVOT
 from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, RIG, STATE, Quantity, Topic, drawn
+from palmd.system import pivot, three_palms
 from palmd.system.mechanism import ENDS, JOINTS, PALMS
+from palmd.three_palms_quantities import PALM3
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
@@ -162,7 +165,7 @@ def estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 def status_lines(result: Mapping[str, Any]) -> list[str]:
     """Return the palms' angles and the estimate from a status reply, as text lines."""
-    angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
+    angles = _angles(result, JOINTS)
     lines = [f"angles  {', '.join(angles)}"] if angles else []
     rows = estimate(result["estimate"]) if "estimate" in result else ()
     return lines + [f"{'' if number else 'object':8}{row.text}" for number, row in enumerate(rows)]
@@ -283,3 +286,35 @@ def _number(value: Any, scale: float, digits: int) -> str:
 
 def _share(value: Any) -> str:
     return f"{_number(value, 100.0, 0)} %"
+
+
+def pivot_status(result: Mapping[str, Any]) -> list[str]:
+    """Return the gripper's position and the estimate from a status reply, as text lines."""
+    positions = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in pivot.AXES if axis + "_m" in result]
+    return _system_status(PIVOT, result["estimate"], "normals", "pivot", positions)
+
+
+def three_palms_status(result: Mapping[str, Any]) -> list[str]:
+    """Return the palms' angles and the estimate from a status reply, as text lines."""
+    return _system_status(PALM3, result["estimate"], "directions", "palms", _angles(result, three_palms.JOINTS))
+
+
+def _system_status(
+    topic: Topic, estimate: Mapping[str, Any], directions: str, label: str, positions: Sequence[str]
+) -> list[str]:
+    """Status as text lines: the joints' `positions` labelled `label`, validity, and coverage of `directions`."""
+    word = "valid" if estimate["valid"] else f"not valid: {estimate['reason']}"
+    lines = [f"{label:7} {', '.join(positions)}"] if positions else []
+    lines.append(f"object  {word}; {estimate['touched']:.0%} of the {directions} touched")
+    values = []
+    for each in topic.quantities:
+        if each.glance and estimate[each.name] is not None:
+            factor, digits, unit = each.shown.factor, each.shown.digits, each.shown.unit
+            sd = estimate["sd"].get(each.name)
+            band = "" if sd is None else f" ± {sd * factor:.{digits}f}"
+            values.append(f"{each.symbol} {estimate[each.name] * factor:.{digits}f}{band} {unit}".rstrip())
+    return [*lines, f"        {', '.join(values)}"] if values else lines
+
+
+def _angles(result: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
+    return [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in joints if f"{joint}_rad" in result]

@@ -51,9 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.config is not None and not arguments.all:
         parts = needed_by(any_configured(arguments.config))
     else:
+        from palmd.rig import vibrating_plant
+
         systems = LIVE if arguments.all else (TWO_PALMS,)
         usual = [each for name in systems for each in load_part(LIVE[name].kernels)(None)]
-        parts = [*(_other_forms() if arguments.all else ()), *usual, *_common_parts()]  # longest first
+        others = _other_forms() if arguments.all else []
+        parts = [*others, *usual, ("emulated rig", vibrating_plant.backend)]  # longest first
     for what, backend, seconds in compile_parallel(parts):
         print(f"{what}: {_BACKENDS[backend]}, {seconds:.1f} s", flush=True)
     return 0
@@ -140,12 +143,6 @@ def _make(make: Callable[[], str], result: Connection) -> None:
         return  # the parent is interrupted too, and reports it
     with suppress(BrokenPipeError):  # the parent has ended
         result.send((made, warnings.texts, os.environ.get(compiler.FAULT)))
-
-
-def _common_parts() -> list[Part]:
-    from palmd.rig import vibrating_plant
-
-    return [("emulated rig", vibrating_plant.backend)]
 
 
 def _other_forms() -> list[Part]:

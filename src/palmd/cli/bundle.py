@@ -17,7 +17,7 @@ from pathlib import Path
 
 from palmd import __version__
 from palmd.console.configured import default_path
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, writing
 from palmd.console.redaction import redacted
 from palmd.record import is_recording
 
@@ -49,13 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     texts = {"versions.txt": versions(), "doctor.txt": _findings(arguments.config)} | _of_run(path)
     if arguments.config is not None:
         texts["palmd.yaml"] = _read(arguments.config)
-    try:
-        with zipfile.ZipFile(output, "w", zipfile.ZIP_DEFLATED) as bundle:
-            bundle.writestr(path.name, recording)
-            for name, text in texts.items():
-                bundle.writestr(name, redacted(text))
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror}") from None
+    with writing(output), zipfile.ZipFile(output, "w", zipfile.ZIP_DEFLATED) as bundle:
+        bundle.writestr(path.name, recording)
+        for name, text in texts.items():
+            bundle.writestr(name, redacted(text))
     print(f"{output}: {', '.join([path.name, *texts])}; {output.stat().st_size / 1e6:.1f} MB")
     return 0
 

@@ -15,9 +15,8 @@ from palmd.jsonvalues import or_none
 from palmd.outlinefile import Outline, OutlineError, read_outline
 from palmd.record.resultfile import Result, ResultError, read_result
 from palmd.record.track import ANGLES, OBJECT, TIME, TrackError, read_track
-from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import CameraComparison, GroundTruthError, compare
-from palmd.report.ground_truth_report import as_line, report_lines
+from palmd.report.camera_frame import motion_of
+from palmd.report.ground_truth import CameraComparison, GroundTruthError, as_line, compare, report_lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,10 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         rig, palms = log.rig, [event for event in log.events if isinstance(event, PalmSample)]
         if not palms:
             raise CliError(BAD_INPUT, f"{arguments.log}: has no palm angles")
-    try:
+    with as_cli_error(GroundTruthError, before=f"{arguments.track}: "):
         found = compare(result, motion_of(result, rig, palms), track, outline)
-    except GroundTruthError as error:
-        raise CliError(BAD_INPUT, f"{arguments.track}: {error}") from None
     if arguments.figure is not None:
         _draw(result, found, outline, arguments.figure)
     if arguments.output is not None:

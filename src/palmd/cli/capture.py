@@ -37,6 +37,7 @@ from palmd.config.two_palms import Config
 from palmd.console.arguments import count, seed
 from palmd.console.configured import configured, default_path
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError, as_cli_error
+from palmd.console.notes import say
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
 from palmd.harness.operator import PlanRun, Status, why
@@ -86,21 +87,21 @@ def run(arguments: argparse.Namespace) -> int:
     """Create a bundle; CliError if the input is wrong, the rig fails, or the user gives up."""
     t_start = time.monotonic()
     config, plan, bundle = _resumed(arguments) if arguments.resume else _begun(arguments)
-    prepare_kernels(config, _print)
+    prepare_kernels(config, say)
     alone = config.model_copy(update={"bus": BusConfig()})
     try:
         with (
             tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder,
-            Stack(Path(folder), alone, notify=_print) as stack,
+            Stack(Path(folder), alone, notify=say) as stack,
         ):
             guide = Guide(stack, alone, plan, bundle, arguments.seed if arguments.emulated else None)
             guide.take(config, arguments.objects)
     except (CliError, KeyboardInterrupt):
         if bundle.calibrated and not arguments.emulated:
-            _print(f"\nTo continue: palmd record capture --resume {bundle.folder} --objects {arguments.objects}")
+            say(f"\nTo continue: palmd record capture --resume {bundle.folder} --objects {arguments.objects}")
         raise
-    _print(f"took {(time.monotonic() - t_start) / 60.0:.1f} min")
-    _print(f"next: palmd reconstruct {bundle.folder} -o {bundle.folder}/result.json")
+    say(f"took {(time.monotonic() - t_start) / 60.0:.1f} min")
+    say(f"next: palmd reconstruct {bundle.folder} -o {bundle.folder}/result.json")
     print(bundle.pack() if arguments.zip else bundle.folder)
     return 0
 
@@ -151,7 +152,7 @@ class Guide:
     def take(self, own: Config, objects: int) -> None:
         """Execute all steps that the bundle does not contain yet; `own`: see `check`."""
         for each in self._bundle.unmeasured:
-            _print(f"Object {each.number}, {each.name}, is recorded but not measured.")
+            say(f"Object {each.number}, {each.name}, is recorded but not measured.")
             self._bundle.add(self._measured(each.name, each.run))
         rest = range(max((each.number for each in self._bundle.recorded), default=0) + 1, objects + 1)
         if not rest:
@@ -166,7 +167,7 @@ class Guide:
 
     def check(self, own: Config) -> None:
         """Run `palmd doctor` and store its findings; `own` has the address of a daemon that may already run."""
-        _print("Step 1: check. Nothing moves.")
+        say("Step 1: check. Nothing moves.")
         if not self._emulated and daemon(own) is not None:
             raise CliError(RIG_FAILED, "a palmd daemon is already running: stop it first (sudo systemctl stop palmd)")
         self._begin_rig(*_ON_PALMS)
@@ -174,7 +175,7 @@ class Guide:
 
     def calibrate(self) -> None:
         """Calibrate both pads with one or two cylinders; the results are stored in the bundle."""
-        _print("Step 2: calibrate the pads with cylinders. The palms move: hands off, one hand at the emergency stop.")
+        say("Step 2: calibrate the pads with cylinders. The palms move: hands off, one hand at the emergency stop.")
         first, second = (f"{mm:g}" for mm, _ in CYLINDERS) if self._emulated else ("", "none")
         diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, self._diameter())
         other_mm = self._ask(
@@ -205,7 +206,7 @@ class Guide:
         name = "pads.yaml" if math.isnan(other_mm) else standoff_calibration.FILE
         self.config = with_pads(self.config, _read(self._bundle.calibration / name)["configuration"])
         self._bundle.begin(self.config, self._plan_path, emulated=self._emulated)
-        _print("The results are used from now on; nothing has to be written by hand.")
+        say("The results are used from now on; nothing has to be written by hand.")
         if not self._emulated:
             there = self.config.model_copy(update={"bus": self._stack.bus})
             self._retry(partial(wait_until_removed, arguments, there, "the last cylinder"), "remove the cylinder")
@@ -233,7 +234,7 @@ class Guide:
 
     def record(self, index: int) -> None:
         """Record one object during the plan, then ask for its caliper measurements."""
-        _print(f"Step {2 + index}: object {index}. The palms move: hands off, one hand at the emergency stop.")
+        say(f"Step {2 + index}: object {index}. The palms move: hands off, one hand at the emergency stop.")
         name = self._ask("Its name, one word", f"object-{index}", _word)
         mend = "put the object back across both pads; a lighter or rounder one, or a slower plan, is easier"
         path = self._retry(lambda: self._recorded(name), mend)
@@ -245,7 +246,7 @@ class Guide:
         if self._emulated:
             largest, smallest = extremes_mm(self._body["h_m"])
             return Measured(name, path, "", largest, smallest, EMULATED_SD_MM, self._body["mass_kg"] * 1e3)
-        _print(f"Remove {name}. Turn it between the jaws of the calipers, in the plane in which it moved.")
+        say(f"Remove {name}. Turn it between the jaws of the calipers, in the plane in which it moved.")
         largest = self._ask("Its largest width in mm", "", number(1, 300))
         smallest = self._ask("Its smallest width in mm", "", number(1, largest))
         mass_g = self._ask("Its mass in g, or unknown", "unknown", or_word("unknown", math.nan, number(0.1, 5000)))
@@ -262,7 +263,7 @@ class Guide:
     def _examine(self) -> None:
         found = list(findings(self._stack.path))
         lines = [finding.line() for finding in found]
-        _print("\n".join(lines))
+        say("\n".join(lines))
         self._bundle.note_findings(lines)
         grave = [each for each in found if each.what.startswith(_OURS) and each.verdict in ("missing", "mismatch")]
         if grave:
@@ -298,11 +299,7 @@ class Guide:
                     stack.client, self._listen, lambda _status, seconds: f"ended after {seconds:.0f} s",
                     resumes=self._confirm_resume,
                 )  # fmt: skip
-                operation.begin(self._plan)
-                try:
-                    operation.watch(stop, progress_line)
-                finally:
-                    operation.end()
+                operation.run(self._plan, stop, progress_line)
                 if stop.made:
                     raise CliError(RIG_FAILED, "stopped by the operator")
             finally:
@@ -341,7 +338,7 @@ class Guide:
             try:
                 return step()
             except CliError as error:
-                _print(f"Failed: {error}\nWhat to do: {mend}.")
+                say(f"Failed: {error}\nWhat to do: {mend}.")
                 again = attempt < ATTEMPTS if self._emulated else self._ask("Try again, yes or no", "yes", YES_OR_NO)
                 if again not in (True, "yes"):
                     raise
@@ -357,7 +354,3 @@ def _word(text: str) -> str:
     if not re.fullmatch(r"[\w-]{1,40}", text):
         raise ValueError("one word of letters, digits, - and _")
     return text
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _device_errors(paths: Sequence[Path]) -> list[str]:
     """Contradictions between valid configurations and connected pads."""
-    from palmd.doctor.pad_devices import device_errors
+    from palmd.doctor.ports import device_errors
     from palmd.yamlfile import ConfigError, is_plan, parse_config, read_document
 
     errors = []

@@ -14,7 +14,8 @@ from palmd.bus.addresses import add_config, command_address
 from palmd.bus.command_client import CommandClient
 from palmd.bus.jogging import jog
 from palmd.bus.link import COMMAND, add_key, credentials
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError
+from palmd.console.arguments import between
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError, as_cli_error
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
 from palmd.harness.processes import StopRequest
 from palmd.system.mechanism import JOINTS
@@ -54,9 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             )
         elif name == "jog":
             for joint in JOINTS:
-                chosen.add_argument(
-                    f"--{joint}-deg", type=_angle, default=0.0, metavar="DEG", help=f"angle by which to turn {joint}"
-                )
+                chosen.add_argument(f"--{joint}-deg", type=between(-90, 90), default=0.0, metavar="DEG",
+                                    help=f"angle by which to turn {joint}")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -113,10 +113,8 @@ def _plan(path: Path) -> dict[str, Any]:
 
     if not os.path.lexists(path):
         return {"path": str(path)}
-    try:
+    with as_cli_error(ConfigError):
         text = read_text(path)
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
     if not text:
         raise CliError(BAD_INPUT, f"{path}:1:1: the file is empty")
     if len(text.encode()) > PLAN_BYTES_MAX:
@@ -162,10 +160,8 @@ def _system(estimate: Mapping[str, Any]) -> str:
     """System of an estimate, by its fields; two palms if there is no estimate yet."""
     from palmd.topics import SYSTEM_TOPICS
 
-    def matching_fields(name: str) -> int:
-        return sum(each.name in estimate for each in SYSTEM_TOPICS[name].estimate.quantities)
-
-    return max(SYSTEM_TOPICS, key=matching_fields)
+    fields = {name: topics.estimate.quantities for name, topics in SYSTEM_TOPICS.items()}
+    return max(fields, key=lambda name: sum(each.name in estimate for each in fields[name]))
 
 
 def _log_lines(result: dict[str, Any]) -> list[str]:
@@ -191,10 +187,3 @@ def _recorder_text(status: Mapping[str, Any]) -> str:
     text += f", {status['lost']:.0f} lost" if status["lost"] else ""
     problem = status.get("problem")
     return f"{text}: {problem}" if problem else f"{text}, {status['age_s']:.0f} s ago"
-
-
-def _angle(text: str) -> float:
-    angle = float(text)
-    if not abs(angle) <= 90.0:
-        raise argparse.ArgumentTypeError(f"must be -90 to 90, got {text}")
-    return angle

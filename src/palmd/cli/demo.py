@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import tempfile
 import time
 from contextlib import ExitStack, suppress
@@ -17,12 +16,13 @@ from pathlib import Path
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
-from palmd.cli.browser import open_page
 from palmd.cli.build import prepare_kernels
-from palmd.config.any_config import AnyConfig, BusConfig
+from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
+from palmd.console.arguments import positive
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.extras import require
+from palmd.console.notes import open_page, say
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
 from palmd.harness.operator import Operator, do, still_needed
@@ -30,7 +30,6 @@ from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
 from palmd.rig.app import add_object_arguments
 from palmd.rig.imperfections import perfect
-from palmd.rig.plant import Physics
 from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -52,7 +51,7 @@ _WORLDS = {"none": "perfect", "calibrated": "with residual calibration errors"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="duration of the run in s")
+    parser.add_argument("--seconds", type=positive(), default=math.inf, metavar="N", help="duration of the run in s")
     parser.add_argument("--no-browser", action="store_true", help="serve the live page, but do not open a browser")
     parser.add_argument("--seed", type=int, help="seed of object and noise; default: random, printed")
     add_object_arguments(parser)
@@ -79,34 +78,36 @@ def run(arguments: argparse.Namespace) -> int:
     physics = arguments.physics
     if physics == "mujoco":
         require("--physics mujoco", "mujoco", "mujoco")
-    prepare_kernels(config, _print)
+    prepare_kernels(config, say)
     rig_arguments = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
     rig_arguments += [] if arguments.kind is None else ["--kind", arguments.kind]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
 
         def show(page: str) -> None:
-            _print(f"  {page}")
+            say(f"  {page}")
             if not arguments.no_browser:
                 open_page(page)
 
-        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, notify=_print, show=show)
+        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, notify=say, show=show)
         leaving.enter_context(stack)
         if not stack.start_rig("--sockets", "--physics", physics, *rig_arguments):
             return 0  # stopped before the start
-        _print(LIVE[config.system].shows)
+        say(LIVE[config.system].shows)
         if isinstance(config, Config) and config.rig.vibration.relation == "none":
-            _print(_STICKS)
-        _print(f"Seed {stack.rig_info['seed']}; the object is unknown to the daemon. Watch it with:")
+            say(_STICKS)
+        say(f"Seed {stack.rig_info['seed']}; the object is unknown to the daemon. Watch it with:")
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
-        comparison = _comparison(config, stack.rig_info["seed"], physics)
+        world = _WORLDS.get(str(config.rig.imperfections), "with configured imperfections")
+        world += " in MuJoCo" if physics == "mujoco" else ""
+        comparison: AnyComparison = load_part(LIVE[config.system].comparison)(stack.rig_info["seed"], world)
         if not stack.start_page() and not stop.made:
-            _print(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
+            say(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
         _name_other_views(stack.bus)
         _operate(stack, comparison, stop, arguments.seconds)
         if physics == "mujoco":
             with suppress(CliError):  # the rig may have ended already
-                _print(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
+                say(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
         _bring_to_rest(stack)
         if not arguments.no_record:
             _finish_recording(stack, advise=config.system == TWO_PALMS and not comparison.settled)
@@ -114,19 +115,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if comparison.settled else RIG_FAILED
 
 
-def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison:
-    world = _WORLDS.get(str(config.rig.imperfections), "with configured imperfections")
-    world += " in MuJoCo" if physics == "mujoco" else ""
-    comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
-    return comparison
-
-
 def _name_other_views(bus: BusConfig) -> None:
     at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
     to = "" if bus.command == COMMAND else f" --address {bus.command}"
-    _print(f"  palmd top{at}")
-    _print(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
-    _print(f"  palmd ctl status{to}")
+    say(f"  palmd top{at}")
+    say(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
+    say(f"  palmd ctl status{to}")
 
 
 def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds: float) -> None:
@@ -153,7 +147,7 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
         if started is not None and t >= t_progress + PROGRESS_S:
             t_progress = t
             if line := comparison.progress(t):
-                _print(line)
+                say(line)
 
 
 def _is_done(client: CommandClient, command: str) -> bool:
@@ -163,9 +157,9 @@ def _is_done(client: CommandClient, command: str) -> bool:
         return False
     reply = client.ask(command)
     if not reply["ok"]:
-        _print(str(reply.get("error")))
+        say(str(reply.get("error")))
     elif command == "reset":
-        _print("reset")
+        say("reset")
     return bool(reply["ok"])
 
 
@@ -188,19 +182,8 @@ def _finish_recording(stack: Stack, *, advise: bool) -> None:
     """
     recorder, paths = stack.children["recorder"], stack.recorded(RECORDED_S)
     for path in paths:
-        _print(f"recorded in {path}")
+        say(f"recorded in {path}")
         if advise:
-            _print(f"estimate the outline from the whole run: palmd reconstruct {path} -o outline.svg")
+            say(f"estimate the outline from the whole run: palmd reconstruct {path} -o outline.svg")
     if recorder.status != 0 or not paths:
-        _print(f"not recorded: {recorder.error_output() or recorder.status}")
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-def _duration(text: str) -> float:
-    seconds = float(text)
-    if not seconds > 0.0:
-        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
-    return seconds
+        say(f"not recorded: {recorder.error_output() or recorder.status}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from palmd import observer
 from palmd.cli.logs import add_calibration_argument, open_output, read_any, read_outlines
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error
 from palmd.console.progress import Progress, working
 from palmd.record.replay import texts, tick_count
 from palmd.record.systems import NotYetError
@@ -31,11 +31,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
     outlines = () if arguments.shape is None else read_outlines(arguments.shape)
     system, log = read_any(arguments.log, arguments.calibration_sd)
-    try:
-        with working(f"preparing the {arguments.observer} observer"):
-            ticks = system.estimate(log, arguments.observer, outlines)
-    except NotYetError as error:
-        raise CliError(BAD_INPUT, f"{arguments.log}: {error}") from None
+    preparing = working(f"preparing the {arguments.observer} observer")
+    with as_cli_error(NotYetError, before=f"{arguments.log}: "), preparing:
+        ticks = system.estimate(log, arguments.observer, outlines)
     with (
         open_output(arguments.output, arguments.log) as stream,
         Progress(f"{arguments.observer} observer", tick_count(log), "ticks") as progress,

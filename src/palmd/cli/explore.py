@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from palmd.bus.addresses import add_config, command_address, publish_address
@@ -16,6 +16,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.config.plans import MAX_DURATION_S, ExploreGoal
+from palmd.console.arguments import positive
 from palmd.harness.operator import LEASE_S, PlanRun, why
 from palmd.harness.processes import StopRequest
 
@@ -25,11 +26,11 @@ PLAN = "explore"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add, default = parser.add_argument, ExploreGoal()
-    add("--coverage", type=_within(1.0), default=default.coverage, metavar="SHARE",
+    add("--coverage", type=_share, default=default.coverage, metavar="SHARE",
         help="share of the reachable normals at which it ends (default: %(default)s)")  # fmt: skip
-    add("--band-mm", type=_within(10.0), metavar="MM",
+    add("--band-mm", type=positive(10.0), metavar="MM",
         help="also require that the outline's standard deviation is below this at all of them")  # fmt: skip
-    add("--seconds", type=_within(MAX_DURATION_S), default=default.time_limit_s, metavar="S",
+    add("--seconds", type=positive(MAX_DURATION_S), default=default.time_limit_s, metavar="S",
         help="time limit in s (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
@@ -48,11 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         band = _Band(subscriber)
         operation = PlanRun(client, band.listen, lambda status, seconds: concluded(status, seconds, band.sd_m))
-        operation.begin({"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]})
-        try:
-            status = operation.watch(stop, lambda status, seconds: progress(status, seconds, band.sd_m))
-        finally:
-            operation.end()
+        plan = {"name": PLAN, "segments": [{"explore": goal.model_dump(exclude_none=True)}]}
+        status = operation.run(plan, stop, lambda status, seconds: progress(status, seconds, band.sd_m))
         print(concluded(status, operation.seconds, band.sd_m))
     return 0
 
@@ -100,14 +98,10 @@ def _mm(band_m: float) -> str:
     return "not known" if math.isnan(band_m) else f"{band_m * 1e3:.3f} mm"
 
 
-def _within(most: float) -> Callable[[str], float]:
-    """Argument type: a number above 0, at most `most`."""
-
-    def number(text: str) -> float:
-        value = float(text)
-        if not 0.0 < value <= most:
-            share = "; did you mean a share of 1, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
-            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}{share}")
-        return value
-
-    return number
+def _share(text: str) -> float:
+    """Argument type: a share of 1; the error text says so for a percentage."""
+    try:
+        return positive(1.0)(text)
+    except argparse.ArgumentTypeError as error:
+        hint = "; did you mean a share of 1, such as 0.95?" if 1.0 < float(text) <= 100.0 else ""
+        raise argparse.ArgumentTypeError(f"{error}{hint}") from None

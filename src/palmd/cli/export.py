@@ -10,7 +10,7 @@ import argparse
 import itertools
 from pathlib import Path
 
-from palmd.cli.drawings import curves_of_result, drawing, write_drawing
+from palmd.cli.logs import curves_of_result, drawing, write_drawing
 from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
 from palmd.console.extras import missing
 from palmd.console.notes import print_notes

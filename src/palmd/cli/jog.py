@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.bus.command_client import CommandClient
+from palmd.bus.jogging import JOG_EVERY_S, JOG_STEP_DEG
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.bus.subscriber import Subscriber
 from palmd.config.two_palms import LimitsConfig
@@ -22,10 +23,6 @@ from palmd.console.configured import configured, default_path
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.keys import pressed, unbuffered
 from palmd.system.mechanism import JOINTS, PALMS
-
-EVERY_S = 0.05
-STEP_DEG = 0.4
-"""8 degrees a second, which the palms can follow."""
 
 HELD_S = 0.12
 """Time (s) after its last repeat for which a key counts as held; terminals repeat about 30 times a second."""
@@ -71,7 +68,7 @@ class DeadMansSwitch:
         """Return the step to send at `t` (s), None if no arrow is held."""
         if t - self.t_last > HELD_S:
             return None
-        return {f"phi{i}_deg": STEP_DEG * direction for i, direction in enumerate(self.arrow, 1)}
+        return {f"phi{i}_deg": JOG_STEP_DEG * direction for i, direction in enumerate(self.arrow, 1)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +117,7 @@ class _Jogging:
                 print(f"stop: {self._send('stop')}")
 
     def _turn(self, keys: int) -> bool:
-        t_next = time.monotonic() + EVERY_S
+        t_next = time.monotonic() + JOG_EVERY_S
         requests = self._switch.pressed(pressed(keys), time.monotonic())
         for each in requests:
             if each == "end":

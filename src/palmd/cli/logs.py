@@ -1,4 +1,4 @@
-"""Input of event logs, recorded runs and stored outlines, and output files, for commands."""
+"""Input of event logs, recorded runs and stored outlines, and output files and drawings, for commands."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import io
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 from palmd.console.errors import BAD_INPUT, CliError, as_cli_error, writing
+from palmd.console.extras import importing
 from palmd.console.notes import print_notes
 from palmd.console.output import strict_output
 from palmd.console.progress import working
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import MAP_LENGTH, EventLog, LogError
+from palmd.record.outline_files import OutlineCurves, Writer, curves_of, writer_of
+from palmd.record.resultfile import ResultError, read_result
 from palmd.record.systems import NotYetError, System, read_log_of_any, system_of
 from palmd.system.description import CALIBRATION_KEYS
 
@@ -73,10 +76,8 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
     with as_cli_error(LogError, RunError), working(f"reading {path}"):
         system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     print_notes(log.notes)
-    try:
+    with as_cli_error(NotYetError, before=f"{path}: "):
         return system, system.known_to(log, dict(calibration_sd))
-    except NotYetError as error:
-        raise CliError(BAD_INPUT, f"{path}: {error}") from None
 
 
 def _recorded(path: Path) -> tuple[System, EventLog]:
@@ -125,3 +126,29 @@ def open_output(path: Path, log: Path) -> Iterator[TextIO]:
             raise CliError(BAD_INPUT, f"{path}: is the log itself; write to another file")
         with path.open("w", encoding="utf-8") as stream:
             yield stream
+
+
+Drawing = TypeVar("Drawing")  # an outline, or a surface
+
+
+def drawing(suffix: str) -> Writer:
+    """Return the writer of a suffix in `outline_files.SUFFIXES`; CliError with install command if ezdxf is missing."""
+    with importing("a DXF drawing", "ezdxf", "cad"):
+        return writer_of(suffix)
+
+
+def curves_of_result(path: Path) -> OutlineCurves:
+    """Read the outline in a result of `palmd reconstruct`; CliError if the file is invalid."""
+    with as_cli_error(ResultError):
+        result = read_result(path)
+    return curves_of(
+        path.stem, result.theta, result.h, result.h_sd, result.touched, rho_m=result.rho, mass_kg=result.mass
+    )
+
+
+def write_drawing(curves: Drawing, target: Path, encode: Callable[[Drawing], bytes], source: Path) -> None:
+    """Write the file; CliError if that fails, or if it is the `source` itself."""
+    with writing(target):
+        if target.exists() and target.samefile(source):
+            raise CliError(BAD_INPUT, f"{target}: is the input; write to another file")
+        target.write_bytes(encode(curves))

@@ -14,14 +14,13 @@ import json
 import sys
 from pathlib import Path
 
-from palmd.cli.drawings import drawing, write_drawing
-from palmd.cli.logs import add_calibration_argument, check_writable, open_output, read_any
+from palmd.cli.logs import add_calibration_argument, check_writable, drawing, open_output, read_any, write_drawing
 from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.calipers import TRUTH
-from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
+from palmd.record.surface import MESHES
 from palmd.record.systems import Reconstructed
 
 

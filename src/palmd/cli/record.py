@@ -17,16 +17,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from palmd.config.any_config import BusConfig
 from palmd.console.errors import RIG_FAILED, as_cli_error
 from palmd.console.progress import Progress
 from palmd.daemon.systemd import Notifier
 from palmd.harness.processes import StopRequest, start_beside
-from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
+from palmd.keys import KeysError, client_credentials, own_credentials
 from palmd.record import RunError
-from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapread import is_packed
-from palmd.record.recorder import record
+from palmd.record.recorder import RecorderLockedError, only_recorder, record
 from palmd.record.recording import ClosedFile
 from palmd.record.runfile import pack
 from palmd.yamlfile import ConfigError, load_any_config
@@ -48,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Record; CliError if the configuration or an address is invalid."""
     with as_cli_error(ConfigError, KeysError):
         config = load_any_config(arguments.config)
-        key = _credentials(config.bus, arguments.key)
+        keys = config.bus.keys
+        key = client_credentials(arguments.key) if arguments.key else None if keys is None else own_credentials(keys)
     truth = () if arguments.truth is None else (arguments.truth,)
     notifier = Notifier()
 
@@ -65,12 +64,6 @@ def run(arguments: argparse.Namespace) -> int:
         record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key)
         packing.finish()
     return 0
-
-
-def _credentials(bus: BusConfig, path: Path | None) -> Credentials | None:
-    if path is not None:
-        return client_credentials(path)
-    return None if bus.keys is None else own_credentials(bus.keys)
 
 
 class _Packing:

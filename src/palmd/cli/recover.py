@@ -14,7 +14,6 @@ from palmd.console.errors import BAD_INPUT, as_cli_error, writing
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record import SUFFIX
-from palmd.record.mcapread import Layout
 from palmd.record.run import RunError, read_any_run
 from palmd.record.runfile import pack
 
@@ -49,15 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     if layout.foreign:
         added = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(layout.foreign.items()))
         print_notes([f"{source}: messages of other programs are left out: {added}"])
-    print(f"{target}: {_saved(layout)}")
-    damage = layout.damage
+    damage, seconds = layout.damage, (layout.end_ns - layout.begin_ns) * 1e-9
+    left_out = f", {damage.torn_bytes} torn bytes at the end left out" if damage.torn_bytes else ""
+    print(f"{target}: {layout.count} messages of {seconds:.1f} s saved{left_out}")
     missing = layout.foreign or damage.lost or damage.torn_bytes or damage.preface_bytes
     missing = missing or damage.further_bytes or damage.cut
     return BAD_INPUT if missing else 0
-
-
-def _saved(layout: Layout) -> str:
-    seconds = (layout.end_ns - layout.begin_ns) * 1e-9
-    torn = layout.damage.torn_bytes
-    left_out = f", {torn} torn bytes at the end left out" if torn else ""
-    return f"{layout.count} messages of {seconds:.1f} s saved{left_out}"

@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from palmd.bus.link import PUBLISH
 from palmd.config.addresses import LocalAddress
+from palmd.console.arguments import positive
 from palmd.console.errors import BAD_INPUT, as_cli_error
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add = parser.add_argument
     add("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
-    add("--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)")
+    add("--speed", type=positive(), default=1.0, metavar="X", help="factor of the recorded speed (default: 1)")
     add("--publish", type=_address, default=PUBLISH, metavar="ADDRESS",
         help="address to publish at (default: %(default)s)")  # fmt: skip
     add("--frames", type=int, choices=FRAMES, default=3,
@@ -119,13 +120,6 @@ def _comparison_lines(path: Path, total: int, ticks: int, agree: int, found: lis
         most = max(finite, key=lambda each: each.sigmas)
         lines.append(f"largest difference in tick {most.number}: {most.name} by {most.sigmas:.2g} sd")
     return lines
-
-
-def _speed(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
-    return value
 
 
 def _address(text: str) -> str:

@@ -16,7 +16,8 @@ from pathlib import Path
 
 from palmd.bus.addresses import INSTALLED, add_config, command_address, publish_address
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
-from palmd.cli.browser import open_page
+from palmd.console.arguments import whole_between
+from palmd.console.notes import open_page
 from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
 from palmd.view.server import Settings, serve_page
 
@@ -52,9 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs", type=Path, metavar="FOLDER", help="folder of the recordings (default: the configuration's)"
     )
-    parser.add_argument(
-        "--port", type=_port, default=PORT, help="port of the page; 0: any free port (default: %(default)s)"
-    )
+    parser.add_argument("--port", type=whole_between(0, 65535), default=PORT,
+                        help="port of the page; 0: any free port (default: %(default)s)")  # fmt: skip
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
 
 
@@ -96,10 +96,3 @@ async def _serve(settings: Settings, browser: bool) -> None:
             open_page(url)
 
     await serve_page(settings, ready, stop)
-
-
-def _port(text: str) -> int:
-    port = int(text)
-    if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError(f"must be 0 to 65535, got {text}")
-    return port

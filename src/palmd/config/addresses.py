@@ -26,7 +26,7 @@ def _host(address: str) -> str | None:
 def local_address(address: str) -> str:
     """Loopback TCP or a local socket; other addresses need keys."""
     host = _host(address)
-    if host not in (None, "localhost") and not _is_loopback(host):
+    if host not in (None, "localhost") and not ((ip := _ipv4(host)) and ip.is_loopback):
         raise ValueError(
             f"{host} can be reached from other machines, which needs CURVE keys, and none are configured;"
             " use tcp://127.0.0.1:PORT or ipc://PATH"
@@ -40,11 +40,6 @@ def guarded_address(address: str) -> str:
     if host not in (None, "localhost") and _ipv4(host) is None:
         raise ValueError(f"must be an IPv4 address of this machine, or 0.0.0.0 for all of them; got {host}")
     return address
-
-
-def _is_loopback(host: str | None) -> bool:
-    ip = _ipv4(host)
-    return ip is not None and ip.is_loopback
 
 
 def _ipv4(host: str | None) -> ipaddress.IPv4Address | None:

@@ -79,3 +79,40 @@ def seconds_within(least_s: float, most_s: float) -> Callable[[str], float]:
         return value
 
     return seconds
+
+
+def positive(most: float = math.inf) -> Callable[[str], float]:
+    """Argument type: a number more than 0, at most `most`."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not 0.0 < value <= most:
+            limit = "" if math.isinf(most) else f" and at most {most:g}"
+            raise argparse.ArgumentTypeError(f"must be more than 0{limit}, got {text}")
+        return value
+
+    return number
+
+
+def between(low: float, high: float, unit: str = "") -> Callable[[str], float]:
+    """Argument type: a number from `low` to `high`; `unit` is for the error text."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must be {low:g} to {high:g}{unit}, got {text}")
+        return value
+
+    return number
+
+
+def whole_between(low: int, high: int) -> Callable[[str], int]:
+    """Argument type: a whole number from `low` to `high`."""
+
+    def count(text: str) -> int:
+        value = int(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must be {low} to {high}, got {text}")
+        return value
+
+    return count

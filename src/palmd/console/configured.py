@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palmd.config.any_config import AnyConfig
 from palmd.config.two_palms import Config
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, CliError, as_cli_error
 from palmd.console.shipped import shipped
 from palmd.yamlfile import ConfigError, load_any_config, load_config
 
@@ -28,18 +28,14 @@ def _exists(path: Path) -> bool:
 
 def configured(path: Path) -> Config:
     """Load a configuration of two palms; CliError with all its errors."""
-    try:
+    with as_cli_error(ConfigError):
         return load_config(path)
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
 
 
 def any_configured(path: Path) -> AnyConfig:
     """Load a configuration of any system; CliError with all its errors."""
-    try:
+    with as_cli_error(ConfigError):
         return load_any_config(path)
-    except ConfigError as error:
-        raise CliError(BAD_INPUT, str(error)) from None
 
 
 def with_flat_palms(path: Path, what: str) -> Config:

@@ -20,12 +20,12 @@ class CliError(Exception):
 
 
 @contextmanager
-def as_cli_error(*kinds: type[Exception], status: int = BAD_INPUT) -> Iterator[None]:
-    """Context in which an exception of these kinds becomes a CliError with its text."""
+def as_cli_error(*kinds: type[Exception], status: int = BAD_INPUT, before: str = "") -> Iterator[None]:
+    """Context in which an exception of these kinds becomes a CliError with its text, behind `before`."""
     try:
         yield
     except kinds as error:
-        raise CliError(status, str(error)) from None
+        raise CliError(status, f"{before}{error}") from None
 
 
 @contextmanager

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import TextIO
 
 _QUIET_S = 1.0
@@ -42,9 +41,7 @@ class Progress:
         self._stream.write(f"\r{self._what} {bar} {100 * done // self._total:3d} % of {self._total} {self._unit}")
         self._stream.flush()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._shown:
             self._stream.write(_ERASED)
             self._stream.flush()
@@ -55,7 +52,7 @@ def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str],
     """Context that shows the text `what`; yields a function that replaces it. For work of unknown length."""
     stream = stream or sys.stderr
     if not stream.isatty():
-        yield _silent
+        yield lambda _: None
         return
 
     def say(doing: str) -> None:
@@ -69,10 +66,6 @@ def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str],
     finally:
         stream.write(_ERASED)
         stream.flush()
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 def _cells(stream: TextIO) -> str:

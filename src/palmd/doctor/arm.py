@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.daemon import realtime
 from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, REPORT, CheckResult, examine
 from palmd.devices.armconformance_port import ArmLine
@@ -25,11 +25,8 @@ def examine_arm(path: str, baud: int, sure: bool) -> int:
     sure: run the checks that make the arm track without asking.
     """
     realtime.prepare()  # where it is not permitted, checks may have to be repeated
-    try:
-        with ArmLine(path, baud) as line:
-            return _summary(path, _examined(path, line, Talk(baud), sure))
-    except PortUnavailableError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
+    with as_cli_error(PortUnavailableError, status=RIG_FAILED), ArmLine(path, baud) as line:
+        return _summary(path, _examined(path, line, Talk(baud), sure))
 
 
 def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[CheckResult]:

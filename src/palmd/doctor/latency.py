@@ -9,16 +9,16 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from palmd.console.arguments import seconds
+from palmd.console.notes import say
 from palmd.console.shipped import shipped
 from palmd.doctor import load
 from palmd.doctor.lateness import Case, TickLateness, branches, lines, table
@@ -54,11 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
         bench = _Bench(Path(name), stack, 1.0 / config.loop.rate_hz)
         bench.listen_until(lambda: bench.operator.moves or stop.made, START_S)
         if "no-realtime" in bench.operator.state.get("faults", ()):
-            _print("no real-time priority or locked memory: the results are those of an ordinary process")
+            say("no real-time priority or locked memory: the results are those of an ordinary process")
         for what, busy in CASES.items():
             if stop.made:
                 break
-            _print(f"{what}, {arguments.seconds:g} s…")
+            say(f"{what}, {arguments.seconds:g} s…")
             with busy(bench):
                 bench.listen_until(lambda: stop.made, SETTLING_S)
                 case, measured_by = _measured(what, bench, arguments.seconds, stop)
@@ -112,27 +112,15 @@ def _measured(what: str, bench: _Bench, seconds: float, stop: StopRequest) -> tu
 
 
 @contextmanager
-def _idle(_bench: _Bench) -> Iterator[None]:
-    yield
-
-
-@contextmanager
-def _processors(_bench: _Bench) -> Iterator[None]:
-    with ExitStack() as stack:
-        for _ in range(multiprocessing.cpu_count()):
-            stack.enter_context(_beside(load.processor))
-        yield
-
-
-@contextmanager
-def _disk(_bench: _Bench) -> Iterator[None]:
-    with _beside(load.disk, str(DISK)):
-        yield
-
-
-@contextmanager
-def _network(_bench: _Bench) -> Iterator[None]:
-    with _beside(load.network):
+def _beside(work: Callable[..., None], *arguments: str, count: int = 1) -> Iterator[None]:
+    """Context in which `count` processes do this work."""
+    start = multiprocessing.get_context("spawn").Process
+    with ExitStack() as leaving:
+        for _ in range(count):
+            process = start(target=work, args=(os.getpid(), *arguments), daemon=True)
+            process.start()
+            leaving.callback(process.join)
+            leaving.callback(process.kill)
         yield
 
 
@@ -146,26 +134,11 @@ def _companions(bench: _Bench) -> Iterator[None]:
         yield
 
 
-CASES = {
-    "idle": _idle,
-    "every core busy": _processors,
-    "disk busy": _disk,
-    "network busy": _network,
+CASES: dict[str, Callable[[_Bench], AbstractContextManager[None]]] = {
+    "idle": lambda _: nullcontext(),
+    "every core busy": lambda _: _beside(load.processor, count=multiprocessing.cpu_count()),
+    "disk busy": lambda _: _beside(load.disk, str(DISK)),
+    "network busy": lambda _: _beside(load.network),
     "recorder and page": _companions,
 }
 """Names of the loads and the context managers that create them."""
-
-
-@contextmanager
-def _beside(work: Callable[..., None], *arguments: str) -> Iterator[None]:
-    process = multiprocessing.get_context("spawn").Process(target=work, args=(os.getpid(), *arguments), daemon=True)
-    process.start()
-    try:
-        yield
-    finally:
-        process.kill()
-        process.join()
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

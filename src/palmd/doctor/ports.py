@@ -1,4 +1,4 @@
-"""Checks of the configured ports: present, permitted, free, and a device that answers."""
+"""Checks of the configured ports and of the pads' devices: present, permitted, free, and a device that answers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ServosConfig
-from palmd.config.pads import PadConfig
+from palmd.config.pads import AnyPads, PadConfig
 from palmd.config.two_palms import Config
 from palmd.daemon.realtime import user
+from palmd.devices.pad import inspect_pad
 from palmd.doctor.finding import Finding
-from palmd.doctor.pad_devices import device_findings
+from palmd.yamlfile import Document
 
 PROC = Path("/proc")
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")
@@ -187,3 +189,27 @@ def arm_answers(port: str, baud: int, path: Path) -> Finding:
     if results[1].outcome != "passed":
         return Finding(what, "missing", results[1].seen)
     return Finding(what, "ok", f"{results[1].seen}")
+
+
+def device_findings(name: str, pad: PadConfig, path: Path) -> Iterator[Finding]:
+    """Yield each remark of a pad's driver as a finding."""
+    for remark in inspect_pad(pad).remarks:
+        fix = remark.fix or ("" if remark.verdict == "ok" else f"edit {path}")
+        yield Finding(f"{name} {remark.what}", remark.verdict, remark.text, fix)
+
+
+def device_errors(document: Document, config: AnyConfig) -> list[str]:
+    """Return contradictions between a configuration and its devices, as `file:line:col: text`.
+
+    A device that is missing, or that this user may not open, is no error.
+    """
+    pads = getattr(config, "pads", None)
+    if not isinstance(pads, AnyPads):
+        return []
+    errors = []
+    for palm in type(pads).model_fields:
+        for remark in inspect_pad(getattr(pads, palm)).remarks:
+            if remark.verdict != "ok":
+                place = document.place(("pads", palm, remark.key))
+                errors.append(document.line(place, f"pads.{palm}.{remark.key}: {remark.text}"))
+    return errors

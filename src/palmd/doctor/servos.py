@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 
 from palmd.config.arms import DynamixelConfig, FeetechConfig
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, as_cli_error
 from palmd.devices.actuator import make_actuator
 from palmd.devices.port import PortUnavailableError
 from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, ServoResult, ServoTalk, examine
@@ -40,16 +40,13 @@ def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
     """
     results: list[ServoResult] = []
     moving = False
-    try:
-        with _talk(arm) as talk:
-            still = [check for check in CHECKS if not check.moves]
-            results += _printed(examine(talk, still))
-            if not any(result.outcome == "failed" for result in results):
-                moving = sure or confirmed(_QUESTION)
-            if moving:
-                results += _printed(examine(talk, [check for check in CHECKS if check.moves]))
-    except PortUnavailableError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
+    with as_cli_error(PortUnavailableError, status=RIG_FAILED), _talk(arm) as talk:
+        still = [check for check in CHECKS if not check.moves]
+        results += _printed(examine(talk, still))
+        if not any(result.outcome == "failed" for result in results):
+            moving = sure or confirmed(_QUESTION)
+        if moving:
+            results += _printed(examine(talk, [check for check in CHECKS if check.moves]))
     failed = sum(result.outcome == "failed" for result in results)
     print(f"{arm.port}: {len(results) - failed} of {len(results)} checks passed, {failed} failed")
     if not moving and not failed:

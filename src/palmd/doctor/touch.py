@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palmd.config.two_palms import PadsConfig
-from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError, as_cli_error
 from palmd.devices.pad import PadReport
 from palmd.devices.padlistener import PadListener
 from palmd.devices.port import PortUnavailableError, PortWaiter
@@ -47,18 +47,15 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
     CliError if a port cannot be opened, or no pad is touched.
     """
     strokes: list[FingerStroke] = []
-    try:
-        with ExitStack() as stack:
-            listeners = {palm: stack.enter_context(PadListener(palm, pads.of(palm))) for palm in PALMS}
-            for palm, held in zip(PALMS, HELD_BY, strict=True):
-                which = f"palm {palm}, the one {held}"
-                print(
-                    f"{which}: put a finger on its pad near the hinge between the palms, slide outwards, lift",
-                    flush=True,
-                )
-                strokes.append(_stroke(palm, listeners))
-    except PortUnavailableError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
+    with as_cli_error(PortUnavailableError, status=RIG_FAILED), ExitStack() as stack:
+        listeners = {palm: stack.enter_context(PadListener(palm, pads.of(palm))) for palm in PALMS}
+        for palm, held in zip(PALMS, HELD_BY, strict=True):
+            which = f"palm {palm}, the one {held}"
+            print(
+                f"{which}: put a finger on its pad near the hinge between the palms, slide outwards, lift",
+                flush=True,
+            )
+            strokes.append(_stroke(palm, listeners))
     lines = list(changes(strokes, pads))
     if not lines:
         print(f"both pads match {path}")

@@ -197,7 +197,9 @@ class Comparison(AnyComparison):
 
     def summary(self) -> str:
         """The final line."""
-        parts = [f"seed {self._seed}", *filter(None, (self._settling(), self._losses.summary()))]
+        settling = f"settled after {self._scorer.settling_s:.1f} s" if self.settled else "never settled"
+        observer = f"{self._estimate.get('observer', '')} observer {settling}"
+        parts = [f"seed {self._seed}", observer, *filter(None, [self._losses.summary()])]
         score, everywhere = self._score(), self._score(all_normals=True)
         if score is not None and everywhere is not None and self._scorer.shape is not None:
             sd, band = np.array(self._scorer.shape["h_sd_m"]), self._band()
@@ -228,12 +230,6 @@ class Comparison(AnyComparison):
         shape = self._scorer.shape or {}
         sd, touched = (np.array(shape[name]) for name in ("h_sd_m", "touched"))
         return math.sqrt(np.mean(sd[touched > 0] ** 2))
-
-    def _settling(self) -> str:
-        name = self._estimate.get("observer", "")
-        if not self.settled:
-            return f"{name} observer never settled"
-        return f"{name} observer settled after {self._scorer.settling_s:.1f} s"
 
     def _score(self, *, all_normals: bool = False) -> OutlineScore | None:
         """The outline compared with the true one, on touched or all normals; None before both are available."""

@@ -70,7 +70,9 @@ class Operator:
         """
         if self.moves:
             self._suspended = False
-        wanted = None if self._suspended or self._plan_replaced else self._next_command()
+        wanted = None
+        if not (self._suspended or self._plan_replaced):
+            wanted = _next(self.state.get("state"), self.state.get("severities", ()), moves=self.moves)
         if wanted != self._wanted:
             self._wanted, self._t_wanted = wanted, t
         delay = 0.0 if wanted == "arm" else CALM_S
@@ -78,9 +80,6 @@ class Operator:
             return None
         self._t_commanded = t
         return wanted
-
-    def _next_command(self) -> str | None:
-        return _next(self.state.get("state"), self.state.get("severities", ()), moves=self.moves)
 
 
 def still_needed(command: str, status: Status) -> bool:
@@ -144,6 +143,14 @@ class PlanRun:
         except CliError:
             self.end()
             raise
+
+    def run(self, plan: Mapping[str, Any], stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
+        """`begin`, `watch` and `end`; returns the last status."""
+        self.begin(plan)
+        try:
+            return self.watch(stop, progress)
+        finally:
+            self.end()
 
     def watch(self, stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
         """Monitor until the plan is complete or `stop` is made; returns the status.

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from palmd.bus.link import KEY_VARIABLE
@@ -37,18 +37,10 @@ def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
         [sys.executable, "-P", "-m", "palmd", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL if _is_pipe(sys.stderr.fileno()) else None,
+        stderr=subprocess.DEVNULL if stat.S_ISFIFO(os.fstat(sys.stderr.fileno()).st_mode) else None,
         env=os.environ | {PARENT_VARIABLE: str(os.getpid())},
         process_group=0,
     )
-
-
-def _is_pipe(fd: int) -> bool:
-    return stat.S_ISFIFO(os.fstat(fd).st_mode)
-
-
-def _never() -> bool:
-    return False
 
 
 class Child:
@@ -89,7 +81,7 @@ class Child:
         lines = self._err.read_text(encoding="utf-8", errors="replace").splitlines()
         return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
 
-    def first_line(self, timeout_s: float, give_up: Callable[[], bool] = _never) -> str | None:
+    def first_line(self, timeout_s: float, give_up: Callable[[], bool] = lambda: False) -> str | None:
         """The first line of its standard output; None if it ends without one, at a time-out, or if `give_up()`."""
         t_end = time.monotonic() + timeout_s
         while True:
@@ -133,8 +125,6 @@ class StopRequest:
     def _ask(self, _signal: int, _frame: FrameType | None) -> None:
         self.made = True
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)

@@ -15,10 +15,19 @@ from pathlib import Path
 
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import Event, Joints, PadSample, PalmSample
-from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
+from palmd.record.logline import (
+    BadLineError,
+    Line,
+    block,
+    not_negative,
+    number,
+    optional,
+    positive,
+    read_vibration,
+    shown,
+)
 from palmd.record.logreader import VERSION, LogParser, read_log_as
 from palmd.record.logreader import LogError as LogError
-from palmd.record.vibration_line import read_vibration
 from palmd.system.corrections import corrections, fault_of
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -154,7 +163,7 @@ def _rig(rig: Line) -> RigDescription:
     if mode not in ("fixed", "arc"):
         raise BadLineError(f"hinge.mode must be fixed or arc, got {shown(mode)}")
     length = positive(hinge, "palm1_length_m") if mode == "arc" else default.palm1_length
-    sds = _sds(rig, _default_sds(rig))
+    sds = calibration_sds(rig)
     common = _sensor(rig, block(rig, "pad"), PadSensor(map_sd=0.0 if _exact(rig) else MAP_SD_M))
     curvatures = [_curvature(rig, palm, common.length) for palm in PALMS]
     described = RigDescription(
@@ -222,15 +231,14 @@ def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
     )
 
 
-def _default_sds(rig: Line) -> Mapping[str, float]:
-    """Standard deviations of constants that the log does not name.
+def calibration_sds(rig: Line) -> dict[str, float]:
+    """Standard deviations of the rig's constants.
 
-    They are 0 if the log gives 0 for all that it names, else those of a calibrated rig. The difference of the palms'
-    friction is not a matter of calibration and is 0 only if the log says so.
+    Those that the log does not name are 0 if it gives 0 for all that it names, else those of a calibrated rig. The
+    difference of the palms' friction is not a matter of calibration and is 0 only if the log says so.
     """
-    if not _exact(rig):
-        return AS_CALIBRATED
-    return dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+    exact = dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+    return _sds(rig, exact if _exact(rig) else AS_CALIBRATED)
 
 
 def _exact(rig: Line) -> bool:
@@ -322,14 +330,10 @@ def _calibration_sd_of(rig: RigDescription, name: str) -> float:
 def event_line(event: Event) -> Line | None:
     """One event as a line; None for a `PadLift`, which shows as a gap in the readings."""
     if isinstance(event, PadSample):
-        fields = {"pad": event.pad, "s_m": event.s, "force_n": event.force}
-        return {"t": event.t_sample} | _without_none(fields)
+        force = {} if event.force is None else {"force_n": event.force}
+        return {"t": event.t_sample, "pad": event.pad, "s_m": event.s, **force}
     if isinstance(event, PalmSample):
         columns = ((_ANGLES, event.angles), (_RATES, event.rates), (_ACCELERATIONS, event.accelerations))
         palms = {name: value for names, values in columns for name, value in zip(names, values or (), strict=False)}
         return {"t": event.t_sample, "palms": palms}
     return None
-
-
-def _without_none(fields: Line) -> Line:
-    return {name: value for name, value in fields.items() if value is not None}

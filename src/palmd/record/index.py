@@ -70,7 +70,8 @@ def indexed(
     """
     known = {} if rebuild else _read(folder / NAME)
     files = sorted(_files(folder), key=lambda each: each[0], reverse=True)
-    stale = [each for each in files if not _is_current(known.get(each[0]), each)]
+    current = {(run.name, run.size_bytes, run.mtime_ns) for run in known.values()}
+    stale = [each for each in files if each not in current]
     for number, (name, size, mtime_ns) in enumerate(stale, 1):
         live = time.time_ns() - mtime_ns < BEING_WRITTEN_S * 1e9 and not _has_end(folder / name)
         summary = RunSummary(problem="is being recorded") if live else _read_through(folder / name)
@@ -120,10 +121,6 @@ def _with_note(folder: Path, run: IndexedRun) -> IndexedRun:
         if note := " ".join(text.split()):
             return replace(run, summary=replace(run.summary, notes=(*run.summary.notes, note)))
     return run
-
-
-def _is_current(known: IndexedRun | None, file: tuple[str, int, int]) -> bool:
-    return known is not None and (known.name, known.size_bytes, known.mtime_ns) == file
 
 
 def _read(path: Path) -> dict[str, IndexedRun]:

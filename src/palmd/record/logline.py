@@ -1,11 +1,20 @@
-"""One line of an event log: decoding, and checks of its fields. Pure."""
+"""One line of an event log: decoding, and checks of its fields and of its block `rig.vibration`. Pure."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
+
+from palmd.system.vibration import (
+    INDEPENDENT,
+    VIBRATION_KEYS,
+    VIBRATION_SD_KEYS,
+    Relation,
+    Vibration,
+    VibrationLaw,
+)
 
 MAX_LINE_BYTES = 1 << 20
 
@@ -83,3 +92,36 @@ def shown(value: object) -> str:
         return "an object" if isinstance(value, dict) else "a list"
     text = json.dumps(value) if not isinstance(value, int) or abs(value) < 10**20 else "a number above 1e20"
     return text if len(text) <= 40 else text[:37] + "…"
+
+
+_MORE_THAN_ZERO = ("frequency", "speed")
+
+
+def read_vibration(rig: Line) -> Vibration:
+    """The palms' vibration from the header's rig, independent if it is missing. Raises BadLineError."""
+    if rig.get("vibration") is None:
+        return INDEPENDENT
+    line = block(rig, "vibration")
+    values: dict[str, Any] = {
+        "relation": _one_of_words(line, "relation", get_args(Relation), "independent"),
+        "law": _one_of_words(line, "law", get_args(VibrationLaw), "sign_pairs"),
+    }
+    for name, key in VIBRATION_KEYS.items():
+        if line.get(key) is not None:
+            values[name] = positive(line, key) if name in _MORE_THAN_ZERO else not_negative(line, key)
+        sd_key, literal = VIBRATION_SD_KEYS[f"{name}_sd"], f"{key}_sd"  # `speed_m_s_sd` is accepted for `speed_sd_m_s`
+        given = next((each for each in (sd_key, literal) if line.get(each) is not None), None)
+        if given is not None:
+            values[f"{name}_sd"] = not_negative(line, given)
+    if values.get("transmission", 0.0) > 1.0:
+        raise BadLineError(f"vibration.transmission must be 0 to 1, got {values['transmission']:g}")
+    return Vibration(**values)
+
+
+def _one_of_words(line: Line, key: str, allowed: tuple[str, ...], default: str) -> str:
+    value = line.get(key)
+    if value is None:
+        return default
+    if value not in allowed:
+        raise BadLineError(f"vibration.{key} must be one of {', '.join(allowed)}; got {shown(value)}")
+    return str(value)

@@ -29,6 +29,7 @@ PROFILE = "palmd"
 MESSAGE_ENCODING, SCHEMA_ENCODING = "msgpack", "jsonschema"
 SEQUENCE_MODULUS = 1 << 32
 
+_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
 REPEAT_CHANNELS_BYTES = 1 << 20  # bytes of messages between repetitions of the channel records
 
 
@@ -110,7 +111,9 @@ class RunWriter:
         for name, values in preface.metadata.items():
             self._writer.add_metadata(name, dict(values))
         for name, data in preface.attachments.items():
-            self._writer.add_attachment(create_time_ns, create_time_ns, name, _media_type(name), data)
+            self._writer.add_attachment(
+                create_time_ns, create_time_ns, name, _MEDIA_TYPES.get(Path(name).suffix, "text/plain"), data
+            )
 
     def write(self, message: RawMessage) -> None:
         """Append one message, preceded by schema and channel for the first of its topic. Raises OSError."""
@@ -153,7 +156,3 @@ class RunWriter:
         for record in some:
             record.write(builder)
         self._stream.write(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _media_type(name: str) -> str:
-    return {".yaml": "application/yaml", ".json": "application/json"}.get(Path(name).suffix, "text/plain")

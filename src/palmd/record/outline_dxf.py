@@ -8,7 +8,7 @@ import logging
 from ezdxf import units
 from ezdxf.filemanagement import new
 
-from palmd.record.outline_curves import OutlineCurves
+from palmd.record.outline_files import OutlineCurves
 
 OUTLINE, BAND, UNTOUCHED, CENTRE, TEXT = "OUTLINE", "BAND", "UNTOUCHED", "CENTRE_OF_MASS", "TEXT"
 _COLOURS = {OUTLINE: 7, BAND: 5, UNTOUCHED: 30, CENTRE: 7, TEXT: 8}  # AutoCAD's colour index

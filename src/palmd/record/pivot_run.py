@@ -13,7 +13,7 @@ from palmd.messages import Fields, MessageCodec
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_quantities import PIVOT_ANSWER
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_files import OutlineCurves, curves_of
 from palmd.record.run import AnyRun, RecordedAnswers
 from palmd.system.pivot import SYSTEM, PivotRig
 

@@ -112,13 +112,10 @@ class Recording:
         if self._file is not None:
             message = RawMessage(topic, _ns(t, t), _ns(fields.get("timestamp"), t), number, frames[1])
             self._file.write(message)
-            self._remember(message, t)
-
-    def _remember(self, message: RawMessage, t: float) -> None:
-        if self._replayable is not None:
-            self._replayable.append(message)
-            if message.topic == CONFIG.name or t - self._t_begin > CONFIG_WAIT_S:
-                self._replayable = None
+            if self._replayable is not None:
+                self._replayable.append(message)
+                if topic == CONFIG.name or t - self._t_begin > CONFIG_WAIT_S:
+                    self._replayable = None
 
     def _adopt_config(self, published: Fields, t: float) -> None:
         """Adopt the differing configuration of the daemon, for the whole current file if possible."""

@@ -30,7 +30,7 @@ from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage
 from palmd.record.mcapread import Layout, read_layout, read_messages
 from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_files import OutlineCurves, curves_of
 from palmd.record.scene import Scene, SceneBuilder
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import RIG_NAMES

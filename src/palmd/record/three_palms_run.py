@@ -13,7 +13,7 @@ from palmd.config.three_palms import ThreePalmsConfig
 from palmd.events import FloatArray
 from palmd.messages import Fields, MessageCodec
 from palmd.observer.three_palms.live import BodyObserver
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_files import OutlineCurves, curves_of
 from palmd.record.run import AnyRun, RecordedAnswers
 from palmd.record.surface import shadow
 from palmd.system.three_palms import SYSTEM, ThreePalmsRig

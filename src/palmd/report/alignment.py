@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
+from scipy.signal import correlate
 from scipy.spatial.transform import Rotation, Slerp
 
 from palmd.events import FloatArray
@@ -151,13 +153,7 @@ def _offset(reference: PoseTrack, source: PoseTrack) -> float:
 
 def _best_shift(first: FloatArray, second: FloatArray) -> tuple[float, int]:
     """The best correlation coefficient of two series, and the shift (steps) of the second in the first."""
-    size = 1 << (len(first) + len(second)).bit_length()
-    shifts = np.arange(-len(second) + 1, len(first))
-
-    def correlated(a: FloatArray, b: FloatArray) -> FloatArray:
-        product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-        return np.asarray(product[shifts % size])
-
+    correlated = partial(correlate, method="fft")
     has_first, has_second = (first > 0).astype(float), (second > 0).astype(float)
     common = np.maximum(np.rint(correlated(has_first, has_second)), 1.0)
     sums = correlated(first, has_second), correlated(has_first, second)
@@ -167,7 +163,7 @@ def _best_shift(first: FloatArray, second: FloatArray) -> tuple[float, int]:
     least = max(MIN_OVERLAP_S / STEP_S, 0.5 * min(has_first.sum(), has_second.sum()))
     scores = np.where(common >= least, covariance / np.sqrt(variances[0] * variances[1]), 0.0)
     best = int(np.argmax(scores))
-    return float(scores[best]), int(shifts[best])
+    return float(scores[best]), best - (len(second) - 1)
 
 
 def _disagreement(reference: PoseTrack, source: PoseTrack, offset: float) -> float:
@@ -199,7 +195,9 @@ def _in_frame(
 ) -> tuple[Rotation, FloatArray]:
     """The source's rotations and tracked points in the reference's frame."""
     stride = max(1, round(BASELINE_S / float(np.median(np.diff(t)))))
-    true_increments, increments = (_rotation_increments(each, stride) for each in (true_rotation, rotation))
+    true_increments, increments = (  # rotation vectors between rows `stride` apart, in the world frame
+        (each[stride:] * each[:-stride].inv()).as_rotvec() for each in (true_rotation, rotation)
+    )
     axes = [_axis(each) for each in (true_increments, increments)]
     if axes[0] is not None and axes[1] is not None:
         frame = _plane_frame(true_increments, increments, axes[0], axes[1], true_position, rotation, position)
@@ -215,11 +213,6 @@ def _in_frame(
     target = (true_position[known] - rotated[known]).reshape(-1)
     solution = np.linalg.lstsq(columns.reshape(-1, 6), target, rcond=None)[0]
     return frame * rotation, rotated + solution[:3] + (frame * rotation).apply(solution[3:])
-
-
-def _rotation_increments(rotations: Rotation, stride: int) -> FloatArray:
-    """Rotations between rows `stride` apart as rotation vectors (n, 3), in the world frame."""
-    return np.asarray((rotations[stride:] * rotations[:-stride].inv()).as_rotvec())
 
 
 def _axis(increments: FloatArray) -> FloatArray | None:

@@ -1,4 +1,4 @@
-"""Common style and elements of the figures of a run: colours, lines with bands, bars of intervals; needs matplotlib."""
+"""Common elements of the figures of a run: style, thinned lines and bands, bars of intervals; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -15,7 +15,62 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from palmd.events import FloatArray
 from palmd.quantities import Quantity
 from palmd.report.series import SD, SDS, Interval, Series
-from palmd.report.thinning import thinned, thinned_band
+
+COLUMNS = 300
+"""Number of columns that can be distinguished in a printed panel; each keeps its least and its greatest value."""
+
+GAP = 5.0  # steps longer than this multiple of the median step are gaps
+
+
+def with_gaps(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+    """Insert NaN into values (n,) at gaps of their times (n,), so that lines are interrupted there."""
+    steps = np.diff(t)
+    if not len(steps):
+        return (t, *values)
+    after = np.flatnonzero(steps > GAP * float(np.median(steps))) + 1
+    return np.insert(t, after, (t[after] + t[after - 1]) / 2), *(np.insert(each, after, math.nan) for each in values)
+
+
+def thinned(t: FloatArray, values: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
+    """The least and greatest value of each column, in time order; a short line unchanged."""
+    t, values = with_gaps(t, values)
+    if len(t) <= 2 * columns:
+        return t, values
+    t_in, in_column = _columns(t, columns), _columns(values, columns)
+    known = np.isfinite(in_column)
+    lowest = np.where(known, in_column, math.inf).argmin(axis=1)
+    highest = np.where(known, in_column, -math.inf).argmax(axis=1)
+    # a column with a gap keeps the gap as one of its three points
+    gap = np.where((~known).any(axis=1), (~known).argmax(axis=1), lowest)
+    chosen = np.sort(np.stack([lowest, highest, gap], axis=1), axis=1)
+    rows = np.arange(len(chosen))[:, None]
+    return t_in[rows, chosen].ravel(), in_column[rows, chosen].ravel()
+
+
+def thinned_band(
+    t: FloatArray, low: FloatArray, high: FloatArray, columns: int = COLUMNS
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, least `low` and greatest `high` of each column, NaN if unknown; a short band unchanged."""
+    t, low, high = with_gaps(t, low, high)
+    if len(t) <= columns:
+        return t, low, high
+    lowest = np.where(np.isfinite(low), low, math.inf)
+    highest = np.where(np.isfinite(high), high, -math.inf)
+    least, greatest = _columns(lowest, columns).min(axis=1), _columns(highest, columns).max(axis=1)
+    middle = np.nanmean(_columns(t, columns), axis=1)
+    return (
+        middle,
+        np.where(np.isfinite(least), least, math.nan),
+        np.where(np.isfinite(greatest), greatest, math.nan),
+    )
+
+
+def _columns(values: FloatArray, columns: int) -> FloatArray:
+    """Reshape to (columns, k), padded with the last value."""
+    each = -(-len(values) // columns)
+    rows = -(-len(values) // each)
+    return np.pad(values, (0, rows * each - len(values)), mode="edge").reshape(rows, each)
+
 
 BLUE, ORANGE, GREEN, PINK, BLACK, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000", "#8c8c8c"
 WIDTH_IN = 7.1
@@ -111,8 +166,14 @@ def over_time(axes: Axes, series: Series, *, last: bool) -> None:
         axes.set_xlabel("time (s)")
 
 
-def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """Make the y axis logarithmic with plain numbers, also between decades if it spans less than two."""
+def logarithmic(axes: Axes, *values: FloatArray) -> None:
+    """Make the y axis logarithmic for the positive values, with plain numbers, also between two decades."""
+    known = np.concatenate(values)
+    positive = known[np.isfinite(known) & (known > 0.0)]
+    if not len(positive):
+        return
+    low, high = np.percentile(positive, (0.5, 100.0))
+    low, high = low / 2.0, max(2.5 * high, 10.0 * low)
     axes.set(yscale="log", ylim=(low, high))
     few = high < 100.0 * low
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))

@@ -9,8 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from palmd import polygon
 from palmd.events import FloatArray
-from palmd.polygon import normals
+from palmd.polygon import boundary
 from palmd.report.series import OutlineAt, Series
 from palmd.system.arcs import palm_points, tangents
 from palmd.system.mechanism import CONTACTS, JOINTS, RADII, SIDES, directions
@@ -19,16 +20,13 @@ _ARC_POINTS = 25
 
 
 def points(theta: FloatArray, h: FloatArray) -> FloatArray:
-    """Points (2, n) of the outline, x = h n + h′ dn/dθ, for band-limited h on evenly spaced normals theta."""
-    k = np.arange(len(h) // 2 + 1)
-    slope = np.fft.irfft(1j * np.where(2 * k == len(h), 0, k) * np.fft.rfft(h), len(h))
-    return np.asarray(h * normals(theta).T + slope * normals(theta + math.pi / 2).T)
+    """Points (2, n) of the outline for band-limited h on evenly spaced normals theta."""
+    return turned(boundary(h).T, float(theta[0]))
 
 
 def turned(at: FloatArray, angle: float) -> FloatArray:
     """Points (2, n) rotated about the origin by `angle` (rad)."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.asarray(np.array([[cos, -sin], [sin, cos]]) @ at)
+    return np.asarray((at.T @ polygon.turned(angle)).T)
 
 
 def closed(curve: FloatArray) -> FloatArray:

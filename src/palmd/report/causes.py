@@ -55,6 +55,7 @@ _ARM_STATES: dict[str, tuple[str, str]] = {
     "arm-uncalibrated": ("uncalibrated", "the arm's controller lost its calibration"),
     "arm-left-tracking": ("left", "the arm's controller left tracking without a command"),
 }
+_STARVED = ("arm-link-lost", "arm-left-tracking", "arm-servo-watchdog")  # without set-points or answers
 _ENDINGS = {
     DAEMON_SILENT: "its recorder finished it because no more messages came from the daemon",
     DAEMON_RESTARTED: "its recorder finished it because another daemon had started",
@@ -144,7 +145,7 @@ def of_fault(case: RunCase, codes: Sequence[str], t: float) -> StopCause:
     if stall is not None and all(_by_stall(case, code, stall, t) for code in codes):
         return stall.cause
     rig_stall = _rig_stall(case, t)
-    if rig_stall is not None and all(_by_rig_stall(code) for code in codes):
+    if rig_stall is not None and all(code.endswith("-silent") or code in ("arm-fault", *_STARVED) for code in codes):
         return rig_stall
     rules: tuple[tuple[str, Callable[[RunCase, str, float], StopCause]], ...] = (
         ("|".join(_DIRECT), _direct_cause),
@@ -195,7 +196,7 @@ def _by_stall(case: RunCase, code: str, stall: _Stall, t: float) -> bool:
         return bool(before) and before[-1] > stall.begin - STALL_READING_S
     if code == "arm-fault":
         return _finding(case, code, t) in ("", NO_SETPOINTS)
-    return code in ("arm-link-lost", "arm-left-tracking", "arm-servo-watchdog", "loop-overruns")
+    return code in ("loop-overruns", *_STARVED)
 
 
 def _stall(case: RunCase, t: float, least_s: float) -> _Stall | None:
@@ -231,11 +232,6 @@ def _rig_stall(case: RunCase, t: float) -> StopCause | None:
     )
     text = f"it continued at {case.rel(end)} after {lasted * 1e3:.0f} ms, by its own clock"
     return StopCause("rig-stalled", "", sentence, (Clue("rig/stall", text),))
-
-
-def _by_rig_stall(code: str) -> bool:
-    """Whether a stall of an emulated rig explains a fault."""
-    return code.endswith("-silent") or code in ("arm-fault", "arm-link-lost", "arm-left-tracking", "arm-servo-watchdog")
 
 
 def _direct_cause(case: RunCase, code: str, t: float) -> StopCause:

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from palmd.events import FloatArray
+from palmd.observer.outline import wrapped
 from palmd.quantities import ESTIMATE, TRUTH
 from palmd.report.series import CONSTANTS, SD, SDS, OutlineAt, Series, TrueBody
 from palmd.score import OutlineScore, score_outline, support_at
@@ -75,7 +76,7 @@ def errors_of(series: Series) -> Errors | None:
             true[name] = np.array([body.constants[name] for body in series.bodies])[number]
     error = {name: series.estimate[name] - values for name, values in true.items()}
     for name in (f"{joint}_rad" for joint in JOINTS):
-        error[name] = _wrapped(error[name])
+        error[name] = wrapped(error[name])
     error["psi_rad"], gauge = remove_gauge(series, error["psi_rad"])
     true["psi_rad"] = true["psi_rad"] + gauge
     return Errors(true, error)
@@ -159,10 +160,6 @@ def remove_gauge(series: Series, error: FloatArray) -> tuple[FloatArray, FloatAr
         known = error[mine & series.valid & np.isfinite(error)]
         if len(known):
             centre = float(np.angle(np.mean(np.exp(1j * known))))
-            centre += float(np.median(_wrapped(known - centre)))
+            centre += float(np.median(wrapped(known - centre)))
             gauge[mine] = centre + math.tau * round(float(np.median(known - centre)) / math.tau)
-    return _wrapped(error - gauge), gauge
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray((angle + math.pi) % math.tau - math.pi)
+    return wrapped(error - gauge), gauge

@@ -11,7 +11,7 @@ from io import StringIO
 
 from palmd.report import texts
 from palmd.report.axes import figure_style
-from palmd.report.sections import CaptionedFigure, Listing, Player, Report, Section, rendered
+from palmd.report.sections import CaptionedFigure, Player, Report, Section, rendered
 from palmd.report.texts import Table
 
 _CSS = """
@@ -57,7 +57,7 @@ def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
             elif isinstance(part, Player):
                 body.append(_player(part))
             else:
-                body.append(_table(part) if isinstance(part, Table) else _listing(part))
+                body.append(_table(part) if isinstance(part, Table) else f"<pre>{escape(part.text)}</pre>")
         body.append("</section>")
     title = escape(f"palmd: {report.title}")
     return (
@@ -118,7 +118,3 @@ def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
     return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>"
-
-
-def _listing(listing: Listing) -> str:
-    return f"<pre>{escape(listing.text)}</pre>"

@@ -72,7 +72,7 @@ def _outline(axes: Axes, drawn: DrawnOutline) -> None:
     outline = drawn.outline
     curve = points(outline.theta, outline.h) * 1e3
     axes.plot(*closed(curve), color=BLUE, linewidth=1.4, alpha=0.4, label="not touched")
-    axes.plot(*_where(curve, outline.touched), color=BLUE, linewidth=2.0, label="touched")
+    axes.plot(*closed(np.where(outline.touched, curve, math.nan)), color=BLUE, linewidth=2.0, label="touched")
     for number, chord in enumerate(chords_of(outline.theta, outline.h, outline.touched)):
         axes.plot(*np.array([chord.begin, chord.end]).T * 1e3, color=ORANGE, linewidth=1.6, linestyle=DASHED,
                   label=STRAIGHT_LABEL if number == 0 else None)  # fmt: skip
@@ -122,11 +122,6 @@ def _error(axes: Axes, drawn: DrawnOutline) -> None:
              ylabel="h (µm)", title="(c) error of the support function")  # fmt: skip
     axes.set_xticks(range(0, 361, 45))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, borderaxespad=0.0)
-
-
-def _where(curve: FloatArray, shown: Bools) -> FloatArray:
-    """The closed curve (2, n + 1), NaN where `shown` is False."""
-    return closed(np.where(shown, curve, math.nan))
 
 
 def _square(axes: Axes, curve: FloatArray, room: float) -> None:

@@ -15,13 +15,19 @@ from palmd.report.body import frames
 from palmd.report.errors import Errors, body_at, errors_of, last_outlines, outline_errors
 from palmd.report.findings import RunVerdict, verdict_of
 from palmd.report.frames_figure import MAX_FRAMES, ROW_IN, draw_frames, row_count
-from palmd.report.loop_figure import draw_loop
-from palmd.report.motion_figure import bar_rows, draw_motion
 from palmd.report.outline_figure import DrawnOutline, draw_contacts, draw_outline
 from palmd.report.player_data import player_data
-from palmd.report.quality_figure import draw_consistency, draw_coverage, draw_forces
 from palmd.report.series import Series
-from palmd.report.state_figure import draw_errors, draw_state
+from palmd.report.time_figures import (
+    draw_consistency,
+    draw_coverage,
+    draw_errors,
+    draw_forces,
+    draw_loop,
+    draw_motion,
+    draw_state,
+    motion_height_in,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +81,18 @@ def report_of(series: Series) -> Report:
     """The complete report of a run of two palms; sections without data are omitted or say what is missing."""
     errors = errors_of(series)
     valid_errors = errors if series.valid.any() else None
+    state = [_figure(draw_state, 7.4, texts.state_caption(series), series, errors=errors)]
+    if valid_errors is not None:
+        state.append(_figure(draw_errors, 7.4, texts.errors_caption(series, valid_errors), series, errors=valid_errors))
+    height_in, caption = 3.2 if valid_errors is None else 4.4, texts.consistency_caption(series, valid_errors)
     own = [
         Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
         Section("Reconstruction through time", _frames(series)),
-        Section("State", _state(series, errors, valid_errors)),
-        Section("Motion", _motion(series)),
+        Section("State", tuple(state)),
+        Section("Motion", motion(series, texts.motion_caption(series), differences=True)),
         Section("Forces, friction and mass", _forces(series, valid_errors)),
-        Section("Consistency", _consistency(series, valid_errors)),
+        Section("Consistency", (_figure(draw_consistency, height_in, caption, series, errors=valid_errors),)),
         Section("Coverage", _coverage(series)),
     ]
     return assembled(series, own, valid_errors)
@@ -113,6 +123,13 @@ def rendered(figure: CaptionedFigure) -> Figure:
     return canvas
 
 
+def _figure(
+    draw: Callable[..., None], height_in: float, caption: str, series: Series, **data: object
+) -> CaptionedFigure:
+    """A figure of the run; `draw` gets the series and `data`."""
+    return CaptionedFigure(partial(draw, series=series, **data), height_in, caption)
+
+
 def _player(series: Series) -> tuple[Player, ...]:
     data = player_data(series)
     return () if data is None else (Player(data, texts.player_caption(series)),)
@@ -121,11 +138,7 @@ def _player(series: Series) -> tuple[Player, ...]:
 def _outlines(series: Series) -> tuple[CaptionedFigure, ...]:
     outlines = last_outlines(series)
     if not outlines:
-        return (
-            (CaptionedFigure(partial(draw_contacts, series=series), 3.2, texts.contacts_caption(series)),)
-            if series.valid.any()
-            else ()
-        )
+        return (_figure(draw_contacts, 3.2, texts.contacts_caption(series), series),) if series.valid.any() else ()
     figures = []
     for outline in outlines:
         body = body_at(series, outline.t)
@@ -141,48 +154,33 @@ def _frames(series: Series) -> tuple[CaptionedFigure, ...]:
     if not numbers:
         return ()
     caption = texts.frames_caption(series, numbers)
-    return (CaptionedFigure(partial(draw_frames, series=series), ROW_IN * row_count(series), caption),)
-
-
-def _state(series: Series, errors: Errors | None, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
-    state = CaptionedFigure(partial(draw_state, series=series, errors=errors), 7.4, texts.state_caption(series))
-    if valid_errors is None:
-        return (state,)
-    caption = texts.errors_caption(series, valid_errors)
-    return (state, CaptionedFigure(partial(draw_errors, series=series, errors=valid_errors), 7.4, caption))
+    return (_figure(draw_frames, ROW_IN * row_count(series), caption, series),)
 
 
 def _forces(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
     if not series.valid.any():
         return ()
     caption = texts.forces_caption(series, valid_errors)
-    return (CaptionedFigure(partial(draw_forces, series=series, errors=valid_errors), 3.4, caption),)
+    return (_figure(draw_forces, 3.4, caption, series, errors=valid_errors),)
 
 
-def _consistency(series: Series, valid_errors: Errors | None) -> tuple[CaptionedFigure, ...]:
-    height = 3.2 if valid_errors is None else 4.4
-    caption = texts.consistency_caption(series, valid_errors)
-    return (CaptionedFigure(partial(draw_consistency, series=series, errors=valid_errors), height, caption),)
-
-
-def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
+def motion(series: Series, caption: str, *, differences: bool = False) -> tuple[CaptionedFigure | texts.Table, ...]:
+    """The figure of the motion and the duration of each state; empty without motion."""
     if not len(series.motion.t):
         return ()
-    height = 4.6 + 0.24 * bar_rows(series)
-    return (
-        CaptionedFigure(partial(draw_motion, series=series), height, texts.motion_caption(series)),
-        texts.durations(series.states),
-    )
+    height_in = motion_height_in(series, differences=differences)
+    figure = _figure(draw_motion, height_in, caption, series, differences=differences)
+    return (figure, texts.durations(series.states))
 
 
 def _coverage(series: Series) -> tuple[CaptionedFigure, ...]:
     if not series.outlines:
         return ()
-    return (CaptionedFigure(partial(draw_coverage, series=series), 2.6, texts.coverage_caption(series)),)
+    return (_figure(draw_coverage, 2.6, texts.coverage_caption(series), series),)
 
 
 def _loop(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
     if not len(series.loop.t):
         return ()
-    figure = CaptionedFigure(partial(draw_loop, series=series), 3.6, texts.loop_caption(series))
+    figure = _figure(draw_loop, 3.6, texts.loop_caption(series), series)
     return (figure, texts.error_counts(series))

@@ -199,22 +199,20 @@ class _IntervalBuilder:
 
 class _RunReader:
     def __init__(self, topics: SystemTopics) -> None:
-        self._topics = topics
         self.handlers: dict[str, Callable[[float, Fields], None]] = {
             topics.estimate.name: self._take_estimate,
             topics.shape.name: self._take_shape if topics.shape is SHAPE else self._keep_shape,
-            topics.contact.name: self._numbers(topics.contact),
+            topics.contact.name: self._numbers("contact", topics.contact),
             topics.motion.name: self._take_motion,
             STATE.name: self._take_state,
             LOOP.name: self._take_loop,
             RIG.name: self._take_rig,
             LOG.name: self._take_log,
             IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
-            topics.truth.name: self._numbers(topics.truth),
+            topics.truth.name: self._numbers("truth", topics.truth),
             BODY.name: self._take_body,
         }
-        columns_by_topic = topics.estimate, topics.contact, topics.motion, LOOP, topics.truth
-        self._columns = {topic.name: _Columns() for topic in columns_by_topic}
+        self._columns = {role: _Columns() for role in ("estimate", "contact", "motion", "loop", "truth")}
         self._shape: Fields = {}
         self._begin_ns: int | None = None
         self._end = 0.0
@@ -243,19 +241,13 @@ class _RunReader:
     def series(self, run: AnyRun, survey: Mapping[str, Survey]) -> Series:
         end = self._end
         faults = [*self._faults, *(replace(fault, end=end) for fault in self._active.values())]
-        columns_by_topic = {topic: columns.as_series() for topic, columns in self._columns.items()}
-        loop = columns_by_topic[LOOP.name]
+        columns = {role: each.as_series() for role, each in self._columns.items()}
         return Series(
             run=run,
             survey=survey,
             observer=self._observer,
             duration=end,
-            estimate=columns_by_topic[self._topics.estimate.name],
             invalid_reasons=dict(self._reasons.most_common()),
-            contact=columns_by_topic[self._topics.contact.name],
-            motion=columns_by_topic[self._topics.motion.name],
-            loop=loop,
-            truth=columns_by_topic[self._topics.truth.name],
             outlines=tuple(self._outlines),
             bodies=tuple(self._bodies),
             states=self._states.until(end),
@@ -264,19 +256,20 @@ class _RunReader:
             faults=tuple(sorted(faults, key=lambda interval: interval.begin)),
             log=tuple(self._log),
             improvements=np.array(self._improvements),
-            counts={name: float(column[-1]) for name, column in loop.columns.items()},
+            counts={name: float(column[-1]) for name, column in columns["loop"].columns.items()},
             rig_deviations=self._rig_deviations,
             shape=self._shape,
+            **columns,
         )
 
-    def _numbers(self, topic: Topic) -> Callable[[float, Fields], None]:
+    def _numbers(self, role: str, topic: Topic) -> Callable[[float, Fields], None]:
         names = _names(topic)
-        return lambda t, fields: self._columns[topic.name].add(t, [(name, float(fields[name])) for name in names])
+        return lambda t, fields: self._columns[role].add(t, [(name, float(fields[name])) for name in names])
 
     def _take_estimate(self, t: float, fields: Fields) -> None:
         values = [(name, float(fields[name])) for name in self._estimate_names]
         values += [(SD + name, float(sd)) for name, sd in fields["sd"].items()]
-        self._columns[self._topics.estimate.name].add(t, values)
+        self._columns["estimate"].add(t, values)
         self._reasons.update(fields.get("invalid_reasons", ()))
         self._observer, self._number, self._valid = fields["observer"], int(fields["object"]), bool(fields["valid"])
 
@@ -293,7 +286,7 @@ class _RunReader:
 
     def _take_motion(self, t: float, fields: Fields) -> None:
         values = [(name, float(fields[name])) for name in self._motion_names]
-        self._columns[self._topics.motion.name].add(t, [*values, *_following(fields)])
+        self._columns["motion"].add(t, [*values, *_following(fields)])
         self._arm_states.observe(t, fields["arm_state"])
         segment = int(fields["segment"])
         self._segments.observe(t, "" if segment < 0 else f"{fields['plan']} {segment}")
@@ -313,7 +306,7 @@ class _RunReader:
 
     def _take_loop(self, t: float, fields: Fields) -> None:
         numbers = [(name, float(value)) for name, value in fields.items() if isinstance(value, int | float)]
-        self._columns[LOOP.name].add(t, numbers)
+        self._columns["loop"].add(t, numbers)
 
     def _take_rig(self, _: float, fields: Fields) -> None:
         self._rig_deviations = tuple(fields["contradictions"])

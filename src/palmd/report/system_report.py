@@ -1,7 +1,8 @@
-"""The report of a run of a system with its own quantity tables; needs matplotlib."""
+"""The reports of recorded runs of systems with their own quantity tables; needs matplotlib."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -9,76 +10,36 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
-from palmd.quantities import Quantity
-from palmd.report import texts
+from palmd.polygon import closed_outline
+from palmd.record.surface import NORMALS, PLANES, shadow, surface_points
 from palmd.report.axes import (
     BLUE,
-    dashed_line,
-    estimate_lines,
-    in_view,
-    invalid_shaded,
-    legend_above,
-    line,
-    over_time,
-    panels,
+    GREY,
 )
 from palmd.report.errors import remove_gauge
-from palmd.report.motion_figure import bar_rows, draw_states
-from palmd.report.sections import CaptionedFigure, Report, Section, assembled
-from palmd.report.series import Series
+from palmd.report.sections import CaptionedFigure, Report, Section, assembled, motion
+from palmd.report.series import Bools, Series
+from palmd.report.time_figures import draw_quantities
 
-COMMANDED = "_cmd_"
 PSI = "psi_rad"  # orientation of the object, relative to an arbitrary zero
 _PANEL_IN = 1.25
+_MOTION = "Commanded and actual positions of the actuators; below, states and faults."
 
 
 def system_report(series: Series, own: Sequence[Section]) -> Report:
     """The system's `own` sections, then its state and motion; sections without data are omitted."""
-    quantities = _drawn_quantities(series)
+    every = series.run.topics.estimate.quantities
+    quantities = [each for each in every if each.kind == "number" and each.symbol]
+
+    def truth(name: str) -> tuple[FloatArray, FloatArray]:
+        return series.truth.t, truth_of(series, name)
+
     state = CaptionedFigure(
-        partial(_draw_estimate, series=series, quantities=quantities),
+        partial(draw_quantities, series=series, quantities=quantities, truth=truth),
         _PANEL_IN * (1 + len(quantities) // 2),
         "Blue: valid estimate with its band; grey: invalid estimate; dashed: an emulated rig's truth.",
     )
-    return assembled(series, [*own, Section("State", (state,)), Section("Motion", _motion(series))])
-
-
-def _motion(series: Series) -> tuple[CaptionedFigure | texts.Table, ...]:
-    if not len(series.motion.t):
-        return ()
-    row_count = bar_rows(series)
-    height = 0.6 + 1.3 * len(_actuators(series)) + 0.24 * row_count
-    caption = "Commanded and actual positions of the actuators; below, states and faults."
-    return (
-        CaptionedFigure(partial(_draw_actuators, series=series, row_count=row_count), height, caption),
-        texts.durations(series.states),
-    )
-
-
-def _drawn_quantities(series: Series) -> tuple[Quantity, ...]:
-    """The quantities to draw: those with a symbol."""
-    return tuple(each for each in series.run.topics.estimate.quantities if each.kind == "number" and each.symbol)
-
-
-def _actuators(series: Series) -> tuple[Quantity, ...]:
-    """The actuators' position quantities that have a commanded counterpart."""
-    names = [each.name for each in series.run.topics.motion.quantities if COMMANDED in each.name]
-    return tuple(series.run.topics.motion[name.replace(COMMANDED, "_")] for name in names)
-
-
-def _draw_estimate(figure: FigureBase, series: Series, quantities: Sequence[Quantity]) -> None:
-    """Draw each quantity with its band where valid, and an emulated rig's truth dashed."""
-    grid = panels(figure, len(quantities))
-    for axes, quantity in zip(grid, quantities, strict=True):
-        factor = quantity.shown.factor
-        value = estimate_lines(axes, series, quantity)
-        true = truth_of(series, quantity.name) * factor
-        dashed_line(axes, series.truth.t, true, "truth")
-        in_view(axes, value if series.valid.any() else series.estimate[quantity.name] * factor, true)
-        invalid_shaded(axes, series)
-        axes.set_ylabel(quantity.label)
-        over_time(axes, series, last=axes in grid[-2:])
-    legend_above(grid[0])
+    return assembled(series, [*own, Section("State", (state,)), Section("Motion", motion(series, _MOTION))])
 
 
 def truth_of(series: Series, name: str) -> FloatArray:
@@ -91,19 +52,56 @@ def truth_of(series: Series, name: str) -> FloatArray:
     return true + nearest
 
 
-def _draw_actuators(figure: FigureBase, series: Series, row_count: int) -> None:
-    """Draw commanded and actual position of each actuator, and below states and faults as `row_count` bars."""
-    quantities = _actuators(series)
-    grid = figure.subplots(
-        1 + len(quantities), 1, sharex=True, height_ratios=(*(1.3,) * len(quantities), 0.24 * row_count)
+def pivot_report(series: Series) -> Report:
+    """The outline about the pivot, followed by the sections common to all systems."""
+    if not series.shape:
+        return system_report(series, ())
+    names = ("theta_rad", "hP_m", "hP_sd_m", "touched")
+    theta, h, sd, touched = (np.array(series.shape[name], dtype=np.float64) for name in names)
+    fraction, worst = float(np.mean(touched > 0)), float(np.max(sd[touched > 0], initial=0.0))
+    caption = (
+        f"The outline about the pivot (cross) at the end: {fraction:.0%} of the normals were touched (blue), with a"
+        f" standard deviation of at most {1e6 * worst:.0f} µm; grey parts were never touched."
     )
-    for axes, quantity in zip(grid, quantities, strict=False):
-        stem, _, unit = quantity.name.rpartition("_")
-        factor = quantity.shown.factor
-        commanded, actual = (series.motion[name] * factor for name in (f"{stem}{COMMANDED}{unit}", quantity.name))
-        line(axes, series.motion.t, actual, color=BLUE, linewidth=1.2, label="actual")
-        dashed_line(axes, series.motion.t, commanded, "commanded")
-        in_view(axes, actual, commanded)
-        axes.set_ylabel(f"{stem} ({quantity.shown.unit})")
-    legend_above(grid[0], 2)
-    draw_states(figure, grid, series)
+    figure = CaptionedFigure(partial(_draw_outline, theta=theta, h=h, touched=touched > 0), 4.4, caption)
+    return system_report(series, (Section("Outline", (figure,)),))
+
+
+def _draw_outline(figure: FigureBase, theta: FloatArray, h: FloatArray, touched: Bools) -> None:
+    axes = figure.subplots()
+    points = 1e3 * closed_outline(theta, h)
+    axes.plot(points[:, 0], points[:, 1], color=GREY, linewidth=0.8)
+    nearest = np.rint(np.arange(len(points)) * len(touched) / (len(points) - 1)).astype(int) % len(touched)
+    touched_points = np.where(touched[nearest][:, None], points, np.nan)
+    axes.plot(touched_points[:, 0], touched_points[:, 1], color=BLUE, linewidth=1.6)
+    axes.plot([0.0], [0.0], "+", color="black")
+    axes.set(aspect="equal", xlabel="mm", ylabel="mm")
+
+
+def three_palms_report(series: Series) -> Report:
+    """The surface, followed by the sections common to all systems."""
+    if not series.shape:
+        return system_report(series, ())
+    halvings = int(series.shape["halvings"])
+    h, sd, touched = (np.array(series.shape[name], dtype=np.float64) for name in ("h_m", "h_sd_m", "touched"))
+    touched_points = touched > 0
+    worst = float(np.max(sd[touched_points], initial=0.0))
+    caption = (
+        "Projections of the body onto the planes of its own axes (grey) and the touched points of its surface (blue),"
+        f" {np.mean(touched_points):.0%} of the directions, with a standard deviation of at most {1e6 * worst:.0f} µm."
+        " Elsewhere the shape follows from the prior only."
+    )
+    figure = CaptionedFigure(
+        partial(_draw_surface, h=h, touched_points=touched_points, halvings=halvings), 2.9, caption
+    )
+    return system_report(series, (Section("Surface", (figure,)),))
+
+
+def _draw_surface(figure: FigureBase, h: FloatArray, touched_points: Bools, halvings: int) -> None:
+    theta: FloatArray = np.arange(NORMALS, dtype=np.float64) * (math.tau / NORMALS)
+    points = 1e3 * surface_points(h, halvings)[touched_points]
+    for axes, (plane, (first, second)) in zip(figure.subplots(1, len(PLANES)), PLANES.items(), strict=True):
+        outline = 1e3 * closed_outline(theta, shadow(h, halvings, plane))
+        axes.plot(outline[:, 0], outline[:, 1], color=GREY, linewidth=0.8)
+        axes.plot(points[:, first], points[:, second], ".", color=BLUE, markersize=1.5)
+        axes.set(aspect="equal", title=f"{plane} (mm)")

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from websockets.asyncio.server import ServerConnection
 
 from palmd.view import wire
-from palmd.view.feed import Payload
+from palmd.view.daemon_link import Payload
 
 MAX_ANSWERS = 16
 

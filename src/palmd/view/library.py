@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.console.redaction import redacted
-from palmd.view.files import File
+from palmd.view.http_guard import File
 from palmd.yamlfile import ConfigError, load_any_config
 
 COMMANDS = ("runs", "report", "delete", "configuration")

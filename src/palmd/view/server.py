@@ -24,9 +24,8 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import Credentials
 from palmd.view import http_guard, naming, wire
 from palmd.view.client import PageClient
-from palmd.view.command_client import PageCommands
-from palmd.view.feed import Feed, Payload
-from palmd.view.files import page_files
+from palmd.view.daemon_link import Feed, PageCommands, Payload
+from palmd.view.http_guard import page_files
 from palmd.view.library import COMMANDS as LIBRARY_COMMANDS
 from palmd.view.library import LibraryError, RunLibrary
 

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import msgpack
 
-from palmd.view.feed import Payload
+from palmd.view.daemon_link import Payload
 
 Argument = str | int | float
 _PAGE_ID = re.compile("[0-9a-z]{1,12}")

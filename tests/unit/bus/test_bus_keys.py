@@ -21,8 +21,7 @@ from palmd.daemon.commands import COMMANDS, Reply
 from palmd.keys import Role
 from palmd.messages import state_fields
 from palmd.quantities import STATE
-from palmd.view.command_client import PageCommands
-from palmd.view.feed import Feed
+from palmd.view.daemon_link import Feed, PageCommands
 
 GENEROUS_S = 10.0
 ARGS = {"plan": {"path": "x"}, "note": {"text": "x"}, "recorder": {"bytes": 0, "messages": 0, "lost": 0}}

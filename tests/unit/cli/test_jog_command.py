@@ -11,8 +11,10 @@ import time
 import pytest
 from bus_daemon import bus_daemon
 
+from palmd.bus.jogging import JOG_EVERY_S as EVERY_S
+from palmd.bus.jogging import JOG_STEP_DEG as STEP_DEG
 from palmd.cli import jog, main
-from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, DeadMansSwitch, line
+from palmd.cli.jog import HELD_S, DeadMansSwitch, line
 from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
 from palmd.daemon.jog import DEAD_MAN_S, RATE

@@ -9,7 +9,7 @@ from palmd.config.two_palms import Config
 from palmd.daemon.pad_units import with_reported_units
 from palmd.devices import evdevport
 from palmd.devices.pad import inspect_pad, pad_note
-from palmd.doctor.pad_devices import device_findings
+from palmd.doctor.ports import device_findings
 
 AXES = {kt.X: (0, 0, 3000, 20), kt.Y: (0, 0, 2000, 20), kt.PRESSURE: (0, 0, 500, 5)}
 

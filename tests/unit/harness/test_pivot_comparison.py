@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmd.bus.subscriber import Message
-from palmd.harness.pivot_comparison import PivotComparison
+from palmd.harness.system_comparisons import PivotComparison
 from palmd.pivot_quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 
 THETA = np.arange(360) * math.tau / 360

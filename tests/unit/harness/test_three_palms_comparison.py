@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmd.bus.subscriber import Message
-from palmd.harness.three_palms_comparison import CENTRE, SPIN, ThreePalmsComparison
+from palmd.harness.system_comparisons import CENTRE, SPIN, ThreePalmsComparison
 from palmd.model.icosphere import icosphere
 from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH
 

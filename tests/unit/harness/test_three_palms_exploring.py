@@ -7,7 +7,7 @@ from body_stand import known_parameters
 from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
-from palmd.harness.three_palms_comparison import matrix
+from palmd.harness.system_comparisons import matrix
 from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer

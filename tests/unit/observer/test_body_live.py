@@ -11,7 +11,7 @@ from plain_body_filter import PlainFilter
 
 from palmd import three_palms_messages as says
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.harness.three_palms_comparison import between, matrix, surface_error
+from palmd.harness.system_comparisons import between, matrix, surface_error
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator

@@ -383,7 +383,7 @@ def test_an_error_midway_leaves_no_partial_export(tmp_path, capsys, monkeypatch)
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palmd.record.export_csv.cell", full)
+    monkeypatch.setattr("palmd.record.export.cell", full)
     assert main(["export", str(rig_recording.path()), "-o", str(tmp_path / "tables")]) == 1
     assert "No space left" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import rig_recording
 
-from palmd.record.export_json import SCENE, schema
+from palmd.record.export import SCENE, schema
 from palmd.record.run import read_run
 from palmd.record.tables import field_examples
 

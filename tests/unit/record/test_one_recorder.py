@@ -12,8 +12,8 @@ import pytest
 from palmd.daemon.journal import Journal
 from palmd.daemon.recorder_process import RESTART_S, RecorderProcess
 from palmd.daemon.recorder_watch import RecorderWatch
-from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapread import read_layout
+from palmd.record.recorder import RecorderLockedError, only_recorder
 from palmd.record.recording import Recording
 from palmd.rig.world import default_config
 
@@ -26,7 +26,7 @@ def holder(folder):
         f"""
         import sys
         from pathlib import Path
-        from palmd.record.lock import only_recorder
+        from palmd.record.recorder import only_recorder
         with only_recorder(Path({str(folder)!r}), {BUS!r}):
             print("has it", flush=True)
             sys.stdin.read()

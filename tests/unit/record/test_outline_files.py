@@ -13,8 +13,7 @@ from ezdxf import units
 
 from palmd.cli import main
 from palmd.outlinefile import read_outline
-from palmd.record.outline_curves import SDS, curves_of
-from palmd.record.outline_files import SUFFIXES, as_csv, as_svg, writer_of
+from palmd.record.outline_files import SDS, SUFFIXES, as_csv, as_svg, curves_of, writer_of
 from tools.studies.real_objects import real_object
 
 A, B = 0.03, 0.02  # semi-axes of an ellipse (m): h² = a² cos² + b² sin²

@@ -13,7 +13,7 @@ from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.record import PadReadings
 from palmd.record.logreader import LogError
-from palmd.record.meshfile import MESHES, Mesh, sd_colours
+from palmd.record.surface import MESHES, Mesh, sd_colours
 from palmd.record.systems import read_log_of_any
 from palmd.record.systems.three_palms import path_and_readings
 from palmd.system.three_palms import ThreePalmsRig

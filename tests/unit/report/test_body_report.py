@@ -8,9 +8,8 @@ import pytest
 
 from palmd.cli import main
 from palmd.model.icosphere import icosphere
-from palmd.report.body_report import body_report
+from palmd.report.body_report import body_report, first_view
 from palmd.report.html import as_html
-from palmd.report.surface_figure import first_view
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from palmd.events import PalmSample
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import CameraTrack, TrackError, read_track
-from palmd.report.camera_signals import motion_of
+from palmd.report.camera_frame import motion_of
 from palmd.report.ground_truth import GroundTruthError, compare
 from tools.camera import Camera, as_csv, filmed
 from tools.studies.simulated import simulated

@@ -216,7 +216,7 @@ def test_bad_input_is_a_one_line_error(tmp_path, monkeypatch, capsys, arguments,
     monkeypatch.chdir(tmp_path)
     Path("prose.mcap").write_text("not a run\n")
     Path("folder.pdf").mkdir()
-    monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
+    monkeypatch.setattr("palmd.cli.report._render", lambda _, as_pdf: b"%PDF" if as_pdf else b"")
     assert main(["report", *[str(reported.run()) if each == "RUN" else each for each in arguments]]) == 1
     assert capsys.readouterr().err == line + "\n"
 
@@ -246,7 +246,7 @@ def test_without_matplotlib_the_error_says_what_to_install(tmp_path, monkeypatch
 
 def test_the_default_name_is_the_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("palmd.report.command._render", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
+    monkeypatch.setattr("palmd.cli.report._render", lambda _, as_pdf: b"pdf" if as_pdf else b"html")
     assert main(["report", str(reported.run())]) == 0
     assert Path(f"{reported.run().stem}.html").read_bytes() == b"html"
     assert capsys.readouterr().out.startswith(f"{reported.run().stem}.html: valid ")

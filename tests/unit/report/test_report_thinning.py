@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from palmd.report.thinning import thinned, thinned_band, with_gaps
+from palmd.report.axes import thinned, thinned_band, with_gaps
 
 
 @given(values=arrays(np.float64, st.integers(50, 400), elements=st.floats(-1e3, 1e3)), columns=st.integers(5, 20))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from palmd.quantities import CHARTS, ESTIMATE, NIS_BAND
-from palmd.view.files import STATIC, page_files
+from palmd.view.http_guard import STATIC, page_files
 from palmd.view.page_quantities import page_quantities
 
 

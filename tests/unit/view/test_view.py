@@ -18,9 +18,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from palmd.cli import main
 from palmd.cli.view import allowed
 from palmd.daemon.commands import COMMANDS
-from palmd.view import command_client, http_guard, naming, wire
+from palmd.view import daemon_link, http_guard, naming, wire
 from palmd.view.client import PageClient
-from palmd.view.files import STATIC, page_files, without_comments
+from palmd.view.http_guard import STATIC, page_files, without_comments
 
 # --------------------------------------------------------------------------------------------------- the files
 
@@ -186,7 +186,7 @@ def test_a_command_never_waits_for_an_absent_daemon(daemon, served):
 
 
 def test_a_missing_answer_is_reported_after_a_timeout(daemon, served, monkeypatch):
-    monkeypatch.setattr(command_client, "TIMEOUT_S", 0.1)
+    monkeypatch.setattr(daemon_link, "TIMEOUT_S", 0.1)
     daemon.take_commands()
     with served.page() as (page, _):
         until_commandable(page)

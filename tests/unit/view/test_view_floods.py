@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from served import PATIENCE_S, answer, answers, until_commandable
 
-from palmd.view import command_client
+from palmd.view import daemon_link
 from palmd.view import server as module
 
 
@@ -49,7 +49,7 @@ def test_an_authenticated_page_is_not_counted_among_them(served):
 
 
 def test_a_pages_flood_of_commands_is_not_queued_and_delays_no_stop(daemon, served, monkeypatch):
-    monkeypatch.setattr(command_client, "TIMEOUT_S", 1e3)  # no timeout for slow machines
+    monkeypatch.setattr(daemon_link, "TIMEOUT_S", 1e3)  # no timeout for slow machines
     daemon.take_commands()
     with served.page() as (flooding, _), served.page() as (other, _):
         until_commandable(flooding)

@@ -18,9 +18,9 @@ from palmd.systems import SYSTEMS, TWO_PALMS, load_part
 if TYPE_CHECKING:
     from palmd.events import ObserverName
     from palmd.outlinefile import Outline
-    from palmd.record.meshfile import Mesh
-    from palmd.record.outline_curves import OutlineCurves
+    from palmd.record.outline_files import OutlineCurves
     from palmd.record.replay import TickFields
+    from palmd.record.surface import Mesh
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,17 +18,32 @@ from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
 from palmd.record import verdict
-from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.outline_curves import curves_factory
+from palmd.record.eventlog import calibration_sds
+from palmd.record.logline import (
+    BadLineError,
+    Line,
+    block,
+    not_negative,
+    number,
+    optional,
+    positive,
+    read_vibration,
+    shown,
+)
+from palmd.record.outline_files import curves_factory
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
 from palmd.record.systems import NotYetError, Reconstructed, SystemLog
-from palmd.record.vibration_line import read_vibration
-from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
+from palmd.system.description import PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 
 _MAX_DISTANCE_M = 1.0
 _PLAN = ("vx_m_s", "ax_m_s2", "vz_m_s", "az_m_s2")
 
+_NO_MASS = (
+    "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the inertia about"
+    " the pivot affect the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and inertia_pivot_m2 have no"
+    " value"
+)
 
 PivotLog = SystemLog[PivotRig, PivotEvent]
 """Its events are in file order."""
@@ -70,7 +84,7 @@ class PivotLogParser:
             pad=sensor,
             vibration=read_vibration(line),
         )
-        return rig.known_to(_calibration_sds(line))
+        return rig.known_to(calibration_sds(line))
 
     def events(self, t: float, line: Line, rig: PivotRig) -> Iterator[PivotEvent | None]:
         """Yield the pad reading, the gripper position, or both; None for a reading off the pad."""
@@ -150,20 +164,11 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
         "moment_sd_kg_m": column(answer.moment_sd),
         "inertia_pivot_kg_m2": or_none(answer.inertia_kg),
         "inertia_pivot_sd_kg_m2": or_none(answer.inertia_kg_sd),
-        "unobservable": list(_unobservable(rig)),
+        "unobservable": [_NO_MASS] if rig.vertical == "rigid" else [],
         "trajectory": {name: column(values) for name, values in trajectory.items()} if len(answer.t) else None,
         "seconds": or_none(answer.seconds),
     }
     return with_former_names(PIVOT_RESULT, line)
-
-
-def _unobservable(rig: PivotRig) -> Iterator[str]:
-    if rig.vertical == "rigid":
-        yield (
-            "mass: a rigid gripper carries an unknown share of the weight; only mass times centre of mass and the"
-            " inertia about the pivot affect the pad (moment_kg_m, inertia_pivot_kg_m2), so com_from_pivot_m and"
-            " inertia_pivot_m2 have no value"
-        )
 
 
 def summary(answer: PivotReconstruction) -> str:
@@ -190,12 +195,3 @@ def _gripper_sample(t: float, arm: Line) -> GripperSample:
             raise BadLineError(f"{name} is {value:g}, not a position near a pad; the unit is metres")
     vx, ax, vz, az = (optional(arm, name) for name in _PLAN)
     return GripperSample(t, x, z, vx, ax, vz, az)
-
-
-def _calibration_sds(line: Line) -> Mapping[str, float]:
-    """Standard deviations of the rig's constants: from the log; for those that it omits 0 if it gives only zeros, else
-    those of a calibrated rig."""
-    given: dict[str, Any] = {} if line.get("calibration_sd") is None else block(line, "calibration_sd")
-    named = [value for value in given.values() if value is not None]
-    default = dict.fromkeys(AS_CALIBRATED, 0.0) if named and not any(named) else AS_CALIBRATED
-    return {name: not_negative(given, CALIBRATION_KEYS[name], each) for name, each in default.items()}

@@ -18,11 +18,20 @@ from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstru
 from palmd.observer.three_palms.record import PadReadings
 from palmd.outlinefile import Outline
 from palmd.record import verdict
-from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
-from palmd.record.meshfile import Mesh
+from palmd.record.logline import (
+    BadLineError,
+    Line,
+    block,
+    not_negative,
+    number,
+    optional,
+    positive,
+    read_vibration,
+    shown,
+)
 from palmd.record.replay import TICKS_PER_SHAPE, TickFields, feed_ticks
+from palmd.record.surface import Mesh
 from palmd.record.systems import NotYetError, Reconstructed, SystemLog
-from palmd.record.vibration_line import read_vibration
 from palmd.system.reasons import Code, Reason
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME

@@ -13,7 +13,7 @@ from palmd.events import ObserverName
 from palmd.outlinefile import Outline
 from palmd.record import verdict
 from palmd.record.eventlog import EventLog, TwoPalmsLogParser
-from palmd.record.outline_curves import curves_factory
+from palmd.record.outline_files import curves_factory
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.systems import TWO_PALMS
 
