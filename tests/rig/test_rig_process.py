@@ -18,7 +18,7 @@ from harness import Client, Process
 from palmd.bus.subscriber import Subscriber
 from palmd.config.arms import AdeptConfig
 from palmd.devices.actuator import make_actuator
-from palmd.devices.versapad import VersaPadDecoder
+from palmd.devices.versapad import PACKET_BYTES, VersaPadDecoder
 
 pytestmark = pytest.mark.rig
 
@@ -65,7 +65,8 @@ def test_ports_speak_the_protocols_and_truth_is_published(rig):
             decoder = VersaPadDecoder(9600)
             packets = decoder.feed(hear(pad, 0.6), 1.0)
             assert len(packets) > 20
-            assert decoder.counters.bad_data + decoder.counters.bad_header == 0
+            # the port may be opened in the middle of a packet
+            assert decoder.counters.bad_data + decoder.counters.bad_header < PACKET_BYTES
             assert all(packet.in_use and packet.pressure > 0 for packet in packets)
         with serial.Serial(found["arm"], 38400, timeout=0, exclusive=True) as arm:
             host = make_actuator(AdeptConfig(port="arm"))
