@@ -41,6 +41,7 @@ MOST_OUTLIERS = 0.02
 # limit of the cost of the prior; and more for each change of the stuck palm
 MOST_PRIOR_COST, MOST_TURN_COST = 60.0, 2.0
 MOST_FRICTION_RATIO = 1.0  # friction over normal force: nothing that lies on a pad sticks better
+LEAST_SLIDING = 0.1  # friction of a palm with sliding, relative to the mean of both (convention: none is zero)
 LEAST_FRICTION = 3.0  # σ of the friction; an object without friction is handled by another model
 DITHERED_LN_RHO = 0.06
 """1σ of ln ρ on palms with a plan's dither (derivation: ρ² follows from the dither's accelerations, of which reports of
@@ -148,6 +149,21 @@ def _has_rival(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
     return other.cost < fit.cost + DOUBT and float(np.sqrt(np.mean(difference**2))) > DIFFERENT_M
 
 
+def friction_sd(asymmetry: float, covariance: FloatArray) -> float:
+    """1σ of the mean friction of both palms, given the covariance of (mean, asymmetry a); half the 2σ band.
+
+    Where the object slides on one palm only, readings determine μ (1 + a) or μ (1 − a): on this hyperbola the band by
+    the covariance is too short towards a large friction of the other palm.
+    """
+    variance, mixed, asymmetry_variance = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    if asymmetry_variance <= 0.0:
+        return math.sqrt(variance)
+    along, sd = mixed / asymmetry_variance, math.sqrt(asymmetry_variance)
+    sliding = 1.0 - math.copysign(asymmetry, along * asymmetry)  # μ of the palm with sliding, over the mean
+    longer = sliding / max(sliding - 2.0 * sd, LEAST_SLIDING)
+    return math.sqrt(max(variance - along * mixed, 0.0) + (along * sd * max(longer, 1.0)) ** 2)
+
+
 def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Reconstruction | None:
     """The result; None where the outline is hollow or too uncertain, or there is no friction."""
     record, z = model.record, fit.z.copy()
@@ -163,11 +179,11 @@ def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Rec
     rho, mass = math.exp(z[LN_RHO]), math.exp(z[LN_MASS])
     ln_rho_sd = math.hypot(float(sd[LN_RHO]), DITHERED_LN_RHO if len(dithered(record)) else 0.0)
     root = root_of(shape.basis(outline.theta, ORDER), covariance[SHAPE, SHAPE])
-    lying = Lying.at(record.palms, fit.psi, ORDER)
+    lying, frictions = Lying.at(record.palms, fit.psi, ORDER), [MU, ASYMMETRY]
     return Reconstruction(
         converged=True, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
-        rho=rho, rho_sd=rho * ln_rho_sd, mu=float(z[MU]), mu_sd=float(sd[MU]),
+        rho=rho, rho_sd=rho * ln_rho_sd, mu=float(z[MU]), mu_sd=friction_sd(z[ASYMMETRY], covariance[np.ix_(frictions, frictions)]),
         mass=mass, mass_sd=mass * float(sd[LN_MASS]),
         rig=z[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,

@@ -15,7 +15,7 @@ from palmd.observer import dry_reconstruct
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.dry_fit import LN_MASS as LN_MASS_OF_FIT
 from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, phases_of
-from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction
+from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction, friction_sd
 from palmd.observer.noise import with_scatter
 from palmd.observer.search import Search
 from palmd.observer.stuck_palms import (
@@ -385,3 +385,17 @@ def test_derivatives_agree_with_finite_differences(dry):
         miss = differences(i, lambda z: -model._force_terms(z, *model._orientation(z)).residual) - of_forces[:, i]
         moved = of_forces[:, i] != 0.0  # only the pad's own gain changes it
         assert np.median(np.abs(miss[moved])) < 1e-2 * np.median(np.abs(of_forces[moved, i]))
+
+
+@pytest.mark.parametrize("sliding", [1.0, -1.0])  # the object slides on palm 1, or on palm 2
+def test_the_band_of_friction_includes_a_palm_with_much_more_of_it_on_which_the_object_only_sticks(sliding) -> None:
+    """By the covariance alone a band would end at half of this."""
+    asymmetry, sd = 0.05 * sliding, 0.25
+    drawn = asymmetry + sd * np.random.default_rng(3).standard_normal(100_000)
+    means = 0.08 / (1.0 + sliding * drawn[np.abs(drawn) < 0.9])
+    mean = 0.08 / (1.0 + sliding * asymmetry)
+    along = -sliding * mean / (1.0 + sliding * asymmetry)
+    covariance = sd**2 * np.array([[along**2, along], [along, 1.0]])
+    above = np.quantile(means, 0.9772)  # 2 sigma
+    assert mean + 2.0 * friction_sd(asymmetry, covariance) == pytest.approx(above, rel=0.05)
+    assert friction_sd(0.0, np.diag([1e-4, 0.0])) == pytest.approx(0.01)  # equal palms
