@@ -183,7 +183,8 @@ def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Rec
     return Reconstruction(
         converged=True, chi2=fit.chi2,
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
-        rho=rho, rho_sd=rho * ln_rho_sd, mu=float(z[MU]), mu_sd=friction_sd(z[ASYMMETRY], covariance[np.ix_(frictions, frictions)]),
+        rho=rho, rho_sd=rho * ln_rho_sd,
+        mu=float(z[MU]), mu_sd=friction_sd(z[ASYMMETRY], covariance[np.ix_(frictions, frictions)]),
         mass=mass, mass_sd=mass * float(sd[LN_MASS]),
         rig=z[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
