@@ -21,7 +21,7 @@ import numpy as np
 from palmd import pivot_messages as codec
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.two_palms import DrawnImperfections
-from palmd.console.arguments import seconds, seconds_within
+from palmd.console.arguments import between, seconds
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import DragExploration
 from palmd.model import shape
@@ -365,7 +365,7 @@ LIVE = Study(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     harness.add_arguments(
-        parser, runs=100, seconds_each=12.0, output=None, kinds=PIVOT_KINDS, length=seconds_within(LEAST_S, 120.0)
+        parser, runs=100, seconds_each=12.0, output=None, kinds=PIVOT_KINDS, length=between(LEAST_S, 120.0, " s")
     )
     add = parser.add_argument
     add("--trouble", choices=tuple(TROUBLES), default="none", help="corruption of readings (default: %(default)s)")

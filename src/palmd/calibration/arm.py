@@ -14,7 +14,7 @@ from palmd.calibration.files import add_config, add_output, document, plain, rep
 from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config.two_palms import Config
-from palmd.console.arguments import seconds_within
+from palmd.console.arguments import between
 from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.progress import Progress
@@ -40,7 +40,7 @@ _MAX_RMS_M = 3e-4
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add_config(parser, "the rig's configuration, palmd.yaml")
-    parser.add_argument("--seconds", type=seconds_within(3.0, 600.0), default=40.0, metavar="S",
+    parser.add_argument("--seconds", type=between(3.0, 600.0, " s"), default=40.0, metavar="S",
                         help="from the first motion (default: %(default)g)")  # fmt: skip
     add_output(parser, "arm.yaml")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from palmd.calibration.files import add_config, add_output, document, plain, report, result_folder, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
 from palmd.config.pads import PadConfig
-from palmd.console.arguments import seconds_within
+from palmd.console.arguments import between
 from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error, writing
 from palmd.console.extras import drawing
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--characterise", action="store_true", help=argparse.SUPPRESS)  # kept for compatibility
     add("--pad", type=int, choices=PALMS, required=True, help="of which palm")
-    add("--seconds", type=seconds_within(2.0, 600.0), default=20.0, metavar="S",
+    add("--seconds", type=between(2.0, 600.0, " s"), default=20.0, metavar="S",
         help="from the first touch (default: %(default)s)")  # fmt: skip
     add_output(parser, "padN.yaml and padN.svg")
 

@@ -69,24 +69,12 @@ def seconds(text: str) -> float:
     return value
 
 
-def seconds_within(least_s: float, most_s: float) -> Callable[[str], float]:
-    """Argument type: a duration (s) within these limits."""
-
-    def seconds(text: str) -> float:
-        value = float(text)
-        if not least_s <= value <= most_s:
-            raise argparse.ArgumentTypeError(f"{value:g} s is not within {least_s:g} to {most_s:g} s")
-        return value
-
-    return seconds
-
-
 def positive(most: float = math.inf) -> Callable[[str], float]:
     """Argument type: a number more than 0, at most `most`."""
 
     def number(text: str) -> float:
         value = float(text)
-        if not 0.0 < value <= most:
+        if not 0.0 < value <= most or math.isinf(value):
             limit = "" if math.isinf(most) else f" and at most {most:g}"
             raise argparse.ArgumentTypeError(f"must be more than 0{limit}, got {text}")
         return value

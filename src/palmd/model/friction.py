@@ -183,14 +183,14 @@ def drives(
     return one, two
 
 
-def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
+def sticking_direction(ratio: Any, drive: Any) -> Any:
     """Return the mean direction of a contact that sticks at its reversals, as its own friction drives its slip.
 
     ratio: mean slip over the speed of the vibration; drive: −D_ii/V, up to `MOST_DRIVE`. It sticks where friction
     changes its slip faster than the vibration does (docs/theory/vibration.md, ripple).
     """
-    x = xp.fmax(xp.fmin(ratio, 1), -1)
-    size, z, shape = xp.fabs(x), (drive - 3.5) / 2, 0.0
+    x = ca.fmax(ca.fmin(ratio, 1), -1)
+    size, z, shape = ca.fabs(x), (drive - 3.5) / 2, 0.0
     for row in reversed(STICKING):
         coefficient = 0.0
         for each in reversed(row):
@@ -200,7 +200,7 @@ def sticking_direction(ratio: Any, drive: Any, xp: Any = ca) -> Any:
 
 
 def _sticking_share(drive: Any, limit: float, sharpness: int) -> Any:
-    """How far a drive is beyond a limit, 0 to 1."""
+    """How far a drive is beyond a limit, 0 to 1; the sharpness is part of the fit of `STICKING`."""
     return drive**sharpness / (drive**sharpness + limit**sharpness)
 
 
@@ -258,8 +258,7 @@ def rippled_directions(
     u_i + V cos τ (docs/theory/vibration.md, ripple). A contact reverses at u_i + w, where w is their value at that
     time: from its own sign a_ii = D_ii p_i (1 − p_i) backwards and −a_ii forwards; from an independent palm anything
     between ±a_ij (RMS a_ij/√3); from a palm of the same frequency a value set by its phase, which shifts both slips
-    against each other, and adds to the drive by its own sign. Where that is large, the contact sticks at its reversals:
-    `sticking_direction`.
+    against each other. Where D_ii is large, the contact sticks at its reversals: `sticking_direction`.
     drives_of: `drives` as a function of the other contact's shares of forward slip, ½ for coherent ones: both of their
     signs change together.
     """

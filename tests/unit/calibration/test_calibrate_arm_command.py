@@ -84,7 +84,7 @@ def arm(swing=large_swing, state=ArmState.MANUAL, tool=0.0, deaf=()):
 def brisk(monkeypatch):
     monkeypatch.setattr(command, "EVERY_S", 0.003)
     monkeypatch.setattr(command, "FIRST_MOTION_S", 0.3)
-    monkeypatch.setattr(command, "seconds_within", lambda *_: float)
+    monkeypatch.setattr(command, "between", lambda *_: float)
 
 
 def calibrate(config, *more):
