@@ -25,7 +25,7 @@ STICKING = (
     (-0.0978, -1.8861, 1.0423, 3.4265),
 )
 """Coefficients of `sticking_direction`, of x^i ((D − 3.5)/2)^j (numerics: fit of the exact solution of one
-contact, 0.002 RMS and 0.012 at most from D 0.3 to 5.3, together with `rippled_directions`)."""
+contact, 0.002 to 0.004 RMS and 0.02 at most from D 0.3 to 5.3 with `rippled_directions`: tools/fit_sticking.py)."""
 STICKING_AT_REST, STICKING_DRIVE, MOST_DRIVE = 3.4, 0.3, 5.3
 """In units of V: drive from which a contact sticks even in slow slip (derivation: (D/4)² + (D/2π)² = 1, 3.37); from
 which it sticks noticeably near u = V (numerics); and the largest for which the law holds: beyond 2π it never slips."""
