@@ -110,7 +110,9 @@ def one_contact(slips: np.ndarray, drives: np.ndarray) -> tuple[np.ndarray, np.n
 
 def test_a_contact_that_sticks_at_its_reversals_has_the_mean_direction_of_the_resolved_one() -> None:
     """Without sticking the error at a drive of 4 is 0.2 in slow slip."""
-    slips, drives = (each.ravel() for each in np.meshgrid(np.linspace(0.1, 0.9, 5), [0.5, 1.0, 2.0, 3.0, 4.0, 5.0]))
+    slips, drives = (
+        each.ravel() for each in np.meshgrid(np.linspace(0.1, 0.9, 5), [0.5, 1.0, 2.0, 3.0, 3.6, 4.0, 5.0])
+    )
     slips, resolved_directions = one_contact(slips, drives)
     slip, drive = ca.SX.sym("slip"), ca.SX.sym("drive")
     none = ca.SX(0)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import lzma
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from palmd.model.smoothing import C, R
 from palmd.observer.data_segment import data_segments
 from palmd.observer.initialiser import attempts_for
 from palmd.observer.noise import MAP_READINGS, map_as_noise, with_scatter
+from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search
 from palmd.record.eventlog import EventLog, read_log
@@ -36,6 +39,23 @@ def test_a_search_reaches_the_bottom_of_a_curved_valley(log: EventLog) -> None:
     found = search.blind(attempts_for(search.rig)[0], 1)
     assert found is not None
     assert found.fits[0].cost < COST_FROM_TRUTH + 3.0
+
+
+def test_a_refit_with_shared_errors_leaves_a_wrong_minimum(log: EventLog) -> None:
+    """The fit with white noise may be drawn far away by errors of place: here its rig and object are."""
+    (segment,) = data_segments(log.events)
+    search = Search(segment, map_as_noise(with_scatter(log.rig, segment.pads)))
+    found = search.blind(attempts_for(search.rig)[0], 1)
+    assert found is not None
+    right = found.fits[0]
+    p = right.guess.p.copy()
+    p[C.RIG + R.TURN] += 0.03
+    p[C.DRAG] *= 0.2
+    drawn = replace(right, guess=Guess(right.guess.x, p))
+    record, refit = search.with_correlated_errors(found.record, drawn)
+    assert search.explained(refit, record)
+    best = search.with_correlated_errors(found.record, right)[1]
+    assert refit.cost < best.cost + 30.0
 
 
 def test_smooth_errors_of_pads_do_not_contradict_the_rig(log: EventLog) -> None:
