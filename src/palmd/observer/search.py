@@ -272,14 +272,16 @@ class Search:
         """`found` with each minimum followed down its valley, where it explains the record to its end.
 
         Friction makes the cost a narrow, curved valley in which an iteration may stop early. With more process noise at
-        first the valley is wide and nearly straight.
+        first the valley is wide and nearly straight. A minimum found so may be another one, with a lower cost but so
+        narrow that it is less likely.
         """
         if found is None or not self.covers(found):
             return found
         smoother, fits = self.smoother(found.record), list[Fit]()
         for fit in found.fits:
             deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), self.noise)
-            fits.append(deeper if deeper.settled and deeper.cost < fit.cost else fit)
+            better = deeper.settled and deeper.cost < fit.cost and _is_likelier(smoother, deeper, fit)
+            fits.append(deeper if better else fit)
         return replace(found, fits=_distinct(fits))
 
     def with_friction_discrepancy(self, found: Minima) -> Minima:
@@ -499,6 +501,13 @@ def minima(
         found = [smoother.fit(fit.guess, noise) for fit in fits]
         fits, iterations = _distinct(found), iterations + sum(fit.iterations for fit in found)
     return Minima(noisier, fits, iterations * len(record.t))
+
+
+def _is_likelier(smoother: Smoother, one: Fit, other: Fit) -> bool:
+    """Whether a minimum has more evidence than the `other` fit, or that is no minimum."""
+    posterior = smoother.posterior_if_any(one)
+    of_other = smoother.posterior_if_any(other) if other.settled else None
+    return posterior is not None and (of_other is None or posterior.evidence > of_other.evidence)
 
 
 def noise_on(rig: RigDescription) -> ProcessNoise:

@@ -1,4 +1,4 @@
-"""Logs of a physics engine (Drake, exactly known rigs) on which the law of friction or a dither misled estimates."""
+"""Logs of physics engines on which the law of friction, a dither or a narrow minimum misled estimates."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 
 from palmd.events import Improvement
 from palmd.model import shape, shape_map
+from palmd.model.smoothing import C
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.data_segment import data_segments
 from palmd.observer.incremental import IncrementalSmoother
@@ -36,14 +37,27 @@ def logged(name: str, folder: Path) -> tuple[EventLog, dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def antiphase(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventLog, dict[str, Any]]:
-    """Palms that vibrate in antiphase, μ 0.25: contacts hop from 2 to 3 s."""
+    """Drake, exactly known rig, palms that vibrate in antiphase, μ 0.25: contacts hop from 2 to 3 s."""
     return logged("drake-antiphase", tmp_path_factory.mktemp("logs"))
 
 
 @pytest.fixture(scope="module")
 def dithered_log(tmp_path_factory: pytest.TempPathFactory) -> tuple[EventLog, dict[str, Any]]:
-    """Palms without vibration, dithered by 0.1° at 10 Hz."""
+    """Drake, exactly known rig, palms without vibration, dithered by 0.1° at 10 Hz."""
     return logged("drake-dithered", tmp_path_factory.mktemp("logs"))
+
+
+def test_a_narrow_minimum_of_lower_cost_is_not_preferred(tmp_path: Path) -> None:
+    """Chipmunk, calibrated rig, antiphase (engine study, seed 7403): at 4.1 s, 200 lower with twice the friction."""
+    log, truth = logged("chipmunk-antiphase", tmp_path)
+    (segment,) = data_segments(log.events)
+    beginning, longer = (Search(segment.until(segment.start + seconds), log.rig) for seconds in (2.5, 4.09))
+    found = beginning.blind(attempts_for(log.rig)[0], 3)
+    assert found is not None
+    deepened = longer.deepened(longer.resumed([found.fits[0].guess]))
+    assert deepened is not None and longer.covers(deepened)
+    p = deepened.fits[0].guess.p
+    assert abs(p[C.DRAG] * p[C.SATURATION] ** -0.5 - truth["mu"]) < 0.05
 
 
 def test_estimates_before_confirmation_are_no_surer_than_the_law_of_friction(antiphase) -> None:
