@@ -332,7 +332,7 @@ typedef struct { /* a reading of `pad`: distance and force, NaN if not measured;
 
 /* Fuse events in order of time, from `t` on, into a bank that was initialised by a smoother: `observer.filter_catchup`.
    Returns the number of readings not earlier than `t`, which is set to the time of the last of them. */
-long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, long count, const double *variances, double *t) {
+long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, long count, const double *variances, const double *shared, double *t) {
   long read = 0;
   for (const Event *event = events; event < events + count; event++) {
     if (event->pad == 0.0) {
@@ -347,7 +347,7 @@ long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, 
     const Reading reading = {now, event->s, pressing(rig, pad, event->force), pad};
     carry(bank, palms, rig, *t, now, INFINITY);
     *t = now;
-    read_pad(bank, palms, rig, &reading, variances[pad - 1], repetitions(palms));
+    read_pad(bank, palms, rig, &reading, variances[pad - 1], fmax(repetitions(palms), shared[pad - 1]));
     read++;
   }
   return read;
@@ -521,7 +521,7 @@ typedef struct {
 
 typedef struct {
   double t, t_start, repeated; /* time of the bank; start of the track */
-  double variances[JOINTS];
+  double variances[JOINTS], shared[JOINTS]; /* of each pad: of a reading; readings that share an error of place */
   double *faded; /* when each block was faded last, infinity for those that never are */
   long early;    /* whether the first readings are linearised about an initial guess, with inflated noise */
   long count, waiting, moved;
@@ -593,7 +593,8 @@ long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
     }
     const double age = reading->t - fusion->t_start;
     const double inflation = fusion->early ? 1.0 + EARLY_NOISE * exp(-age / EARLY_S) : 1.0;
-    read_pad(bank, palms, rig, reading, inflation * fusion->variances[reading->pad - 1], fusion->repeated);
+    const double shared = fusion->early || fusion->repeated == 1.0 && bank->nis[0] > UNEXPECTED_NIS ? 1.0 : fusion->shared[reading->pad - 1];
+    read_pad(bank, palms, rig, reading, inflation * fusion->variances[reading->pad - 1], fmax(fusion->repeated, shared));
     fusion->moved = 0;
     memmove(fusion->queue, fusion->queue + 1, --fusion->waiting * sizeof *reading);
   }

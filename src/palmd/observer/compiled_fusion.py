@@ -72,7 +72,7 @@ class _Fused(ctypes.Structure):
 
 class _Fusion(ctypes.Structure):
     _fields_ = (
-        *_doubles("t", "t_start", "repeated"), ("variances", _Joints), *_pointers("faded"),
+        *_doubles("t", "t_start", "repeated"), ("variances", _Joints), ("shared", _Joints), *_pointers("faded"),
         *((name, ctypes.c_long) for name in ("early", "count", "waiting", "moved")),
         ("fused", _Fused * EVENTS), ("queue", _FusedReading * (EVENTS + 1)),
     )  # fmt: skip
@@ -111,7 +111,7 @@ class Routines:
         self.palms_feed = self._bound("palms_feed", pointer, pointer)
         self.carry = self._bound("carry", *of_bank, number, number, number)
         self.read_pad = self._bound("read_pad", *of_bank, pointer, number, number)
-        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, restype=integer)
+        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, pointer, restype=integer)
         self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
         self.lift = self._bound("lift", pointer, integer, pointer, integer, restype=integer)
         self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, restype=integer)
@@ -251,12 +251,13 @@ class CompiledBank(Bank):
         self.routines.read_pad(*self.at(rig, palms), self.reading(sample, rig), variance, repeated)
 
     def fuse_events(
-        self, rig: CompiledRig, palms: TrackedPalms, events: Sequence[Event], variances: FloatArray, t: float
+        self, rig: CompiledRig, palms: TrackedPalms, events: Sequence[Event], variances: FloatArray, shared: FloatArray,
+        t: float,
     ) -> tuple[float, int]:
         """As `ShapeFilters.fuse_events`."""
         rows = np.array([_row(event) for event in events if not isinstance(event, PadLift)])
         now = ctypes.c_double(t)
-        readings = (rows.ctypes.data, len(rows), variances.ctypes.data)
+        readings = (rows.ctypes.data, len(rows), variances.ctypes.data, shared.ctypes.data)
         read = self.routines.follow(*self.at(rig, palms), *readings, ctypes.addressof(now))
         return now.value, read
 
@@ -308,10 +309,10 @@ class CompiledBank(Bank):
 class CompiledHistory:
     """`history.History` and `Fusion` in C; `now.t` and `now.t_start` are those of `Fusion`."""
 
-    def __init__(self, banks: Iterable[CompiledBank], variances: FloatArray):
+    def __init__(self, banks: Iterable[CompiledBank], variances: FloatArray, shared: FloatArray):
         """`banks`: all banks that will be used; `variances`: of each pad's readings (m²)."""
         self._memory = {id(bank): [_blank(bank) for _ in range(EVENTS)] for bank in banks}
-        self.now = _Fusion(t=-math.inf, t_start=math.inf, variances=tuple(variances.tolist()))
+        self.now = _Fusion(t=-math.inf, t_start=math.inf, variances=tuple(variances.tolist()), shared=tuple(shared.tolist()))
         self._address = ctypes.addressof(self.now)
 
     def use(self, bank: CompiledBank, t_faded: FloatArray, early: bool) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PalmSample
 from palmd.model.smoothing import ORDER
+from palmd.observer.pad_map import shared_readings
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.system.description import RigDescription
 
@@ -27,7 +28,7 @@ class FilterCatchUp:
     def __init__(self, rig: RigDescription):
         """Binds its own block of kernels."""
         self._filters = ShapeFilters(rig, 1, order=ORDER)
-        self._variances = rig.reading_variances
+        self._variances, self._shared = rig.reading_variances, shared_readings(rig)
         self._angle_noise = rig.palm_angle_noise
         self._waiting: deque[Event] = deque()
         self._palms = self._filters.tracker(self._angle_noise)
@@ -57,7 +58,7 @@ class FilterCatchUp:
         self._filters.bank.x[:], self._filters.bank.P[:] = improvement.x, improvement.P
         self._t, self._read = improvement.t, 0
         if before:
-            self._filters.fuse_events(before, self._t, self._palms, self._variances)
+            self._filters.fuse_events(before, self._t, self._palms, self._variances, self._shared)
         self.active = self._palms.known
 
     def add_event(self, event: Event) -> None:
@@ -68,7 +69,7 @@ class FilterCatchUp:
         """Fuse up to `budget` queued events; True if none is left and `LEAST_READINGS` have been fused."""
         events = [self._waiting.popleft() for _ in range(min(budget, len(self._waiting)))]
         if events:
-            self._t, read = self._filters.fuse_events(events, self._t, self._palms, self._variances)
+            self._t, read = self._filters.fuse_events(events, self._t, self._palms, self._variances, self._shared)
             self._read += read
         return not self._waiting and self._read >= LEAST_READINGS
 

@@ -18,6 +18,7 @@ from palmd.observer.filters.base import Filters
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.forgetting import HIGH_NIS, Forgetting
 from palmd.observer.history import Fused, History
+from palmd.observer.pad_map import shared_readings
 from palmd.observer.prior import BlindStart
 from palmd.system.description import RigDescription
 
@@ -65,7 +66,7 @@ class Fusion:
         self._first = banks[0]
         compiled = [filters.bank for filters in banks if isinstance(filters.bank, CompiledBank)]
         self.history: History | CompiledHistory = (
-            CompiledHistory(compiled, self._variances) if compiled else History([filters.bank for filters in banks])
+            CompiledHistory(compiled, self._variances, shared_readings(rig)) if compiled else History([filters.bank for filters in banks])
         )
         self.reset()
 

@@ -82,6 +82,16 @@ def with_shared_errors(record: Record, rig: RigDescription, alone: bool = False)
     return replace(record, contact_variance=record.contact_variance + shared)
 
 
+def shared_readings(rig: RigDescription) -> FloatArray:
+    """Of each pad: readings that share one error, for a filter without a map that continues a smoother's estimate.
+
+    rig: with its maps as noise of single readings (`map_as_noise`).
+    """
+    return np.array(
+        [1.0 + (SHARED_READINGS * pad.map_sd**2 - pad.map_noise**2) / pad.reading_variance for pad in rig.pads]
+    )
+
+
 def _functions(pad: PadSensor, contacts: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
     """The eigenfunctions (m) at these contacts, and the remainder there, as noise of each reading (m²)."""
     low, high = min(float(contacts.min()), 0.0), max(float(contacts.max()), pad.length)

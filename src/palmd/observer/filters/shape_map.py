@@ -159,14 +159,14 @@ class ShapeFilters:
         self.bank.fuse_pad(self.compiled_rig, palms, sample, variance, repeated)
 
     def fuse_events(
-        self, events: Sequence[Event], t: float, palms: TrackedPalms, variances: FloatArray
+        self, events: Sequence[Event], t: float, palms: TrackedPalms, variances: FloatArray, shared: FloatArray
     ) -> tuple[float, int]:
         """Fuse events in their order from `t` (s) on, at times corrected by the pads' estimated lags.
 
         Readings from before the last fused one are skipped. `variances`: of each pad's readings (m²). Returns the time
         of the last fused reading (s) and the number of readings fused.
         """
-        return self.bank.fuse_events(self.compiled_rig, palms, events, variances, t)
+        return self.bank.fuse_events(self.compiled_rig, palms, events, variances, shared, t)
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
