@@ -37,6 +37,7 @@ FRICTION_NOISE_S = 2e-4
 a force with an error of ε = 3 % that lasts for τ = 0.12 s (study 2026-12-01, true motion and constants in the law:
 medians of 0.03e-4 to 2.5e-4 in 13 logs of Drake, μ 0.05 to 0.26; in an exploration in MuJoCo, μ 0.19, 5e-4 at
 openings below 45°, 2.5e-4 up to 60°, less beyond)."""
+FRICTION_ERROR_S = 0.12  # s for which an error of the law lasts: τ above
 HOP_NOISE_S = 2.0
 """The same, divided by the square of the α0 that pulling contacts would contribute, where they hop instead (study of
 resolved vibrations, 2026-11-29: order of magnitude, as logs differ by more than a factor of ten)."""

@@ -521,7 +521,7 @@ typedef struct {
 
 typedef struct {
   double t, t_start, repeated; /* time of the bank; start of the track */
-  double variances[JOINTS], shared[JOINTS]; /* of each pad: of a reading; readings that share an error of place */
+  double variances[JOINTS], shared[JOINTS]; /* of each pad's readings; how many share an error of place, once a smoother's estimate is continued */
   double *faded; /* when each block was faded last, infinity for those that never are */
   long early;    /* whether the first readings are linearised about an initial guess, with inflated noise */
   long count, waiting, moved;
@@ -584,7 +584,8 @@ long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
     if (!fusion->moved) {
       remember(fusion, bank, bank->now[1]);
       const int unexpected = bank->nis[best_of(bank)] > UNEXPECTED_NIS; /* then the contact is at another place */
-      fusion->repeated = unexpected ? 1.0 : repetitions(palms);
+      const double shared = fusion->early ? 1.0 : fusion->shared[reading->pad - 1];
+      fusion->repeated = unexpected ? 1.0 : fmax(repetitions(palms), shared);
       carry(bank, palms, rig, fusion->t, reading->t, fusion->repeated);
       fusion->t = reading->t;
       fusion->moved = 1;
@@ -593,8 +594,7 @@ long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
     }
     const double age = reading->t - fusion->t_start;
     const double inflation = fusion->early ? 1.0 + EARLY_NOISE * exp(-age / EARLY_S) : 1.0;
-    const double shared = fusion->early || fusion->repeated == 1.0 && bank->nis[0] > UNEXPECTED_NIS ? 1.0 : fusion->shared[reading->pad - 1];
-    read_pad(bank, palms, rig, reading, inflation * fusion->variances[reading->pad - 1], fmax(fusion->repeated, shared));
+    read_pad(bank, palms, rig, reading, inflation * fusion->variances[reading->pad - 1], fusion->repeated);
     fusion->moved = 0;
     memmove(fusion->queue, fusion->queue + 1, --fusion->waiting * sizeof *reading);
   }

@@ -25,7 +25,8 @@ SEGMENT_S = 2.0
 READINGS_KEPT = 60  # segments whose readings are kept: two minutes
 RELINEARISED = 12  # segments relinearised in one call at most, which bounds the cost of an estimate
 NEAR = 2.0  # squared Mahalanobis distance, by a segment's own readings, by which p and its ends may move
-INNER_STEPS = 2  # Newton steps of a segment's nodes after its ends and the constants have moved
+INNER_STEPS = 6  # Newton steps of a segment's nodes after its ends and the constants have moved, at most
+CONVERGED = 1e-4  # rad and rad/s of the last of them (choice: below what a second of readings tells of a node)
 MOST_SETTLING = 6  # iterations after the prior of the rig has changed
 _NODE = slice(CONSTANTS, SIZE)
 
@@ -98,18 +99,16 @@ class Chain:
     def renew(self, p: FloatArray, x: FloatArray) -> int:
         """Relinearise segments that are too far from the constants `p` and the last node `x`; returns their number.
 
-        The latest first: their readings are about the part of the outline where the motion is. If the normal equations
-        of a segment are singular there, its previous linearisation stays, since its minimum is known.
+        The latest first: their readings are about the part of the outline where the motion is. A segment keeps its
+        previous linearisation where its nodes do not converge, or to an unlikely motion.
         """
-        ends = self._ends(p, x)
+        ends, renewed = self._ends(p, x), 0
         stale = [i for i, segment in enumerate(self._segments) if not segment.near(ends[i])]
         for i in stale[::-1][:RELINEARISED]:
-            segment = self._segments[i]
-            nodes = segment.x.copy()
-            nodes[0], nodes[-1] = ends[i][CONSTANTS:-NODE], ends[i][-NODE:]
             with suppress(np.linalg.LinAlgError):
-                self._segments[i] = self._linearised(segment.record, Guess(nodes, p), INNER_STEPS)
-        return len(stale)
+                self._segments[i] = self._moved(self._segments[i], ends[i])
+                renewed += 1
+        return renewed
 
     def settle(self, p: FloatArray) -> FloatArray:
         """The estimate of the constants, iterated from `p` with relinearisation."""
@@ -121,13 +120,28 @@ class Chain:
                 break
         return p
 
-    def _linearised(self, record: Record, guess: Guess, steps: int = 0) -> Segment:
-        residuals = Residuals(self._library, record)
-        now = residuals.linearised(guess, self._noise)
-        for _ in range(steps):
-            guess = Guess(guess.x + now.inner_step(), guess.p)
-            now = residuals.linearised(guess, self._noise)
-        return Segment(record, guess.x, now.summary(guess, self._scale))
+    def _moved(self, segment: Segment, ends: FloatArray) -> Segment:
+        """The segment, linearised at other (p, first node, last node) with its nodes at the minimum of the cost.
+
+        Raises LinAlgError where the nodes do not converge, or to a cost higher than before and than predicted.
+        """
+        residuals, before = Residuals(self._library, segment.record), segment.summary
+        guess, step = Guess(segment.x, before.about[:CONSTANTS]), ends - before.about
+        for _ in range(INNER_STEPS):
+            inner = residuals.linearised(guess, self._noise).inner_step(step)
+            guess, step = Guess(guess.x + inner, ends[:CONSTANTS]), np.zeros_like(ends)
+            if np.abs(inner).max() < CONVERGED:
+                break
+        else:
+            raise np.linalg.LinAlgError("the nodes do not converge")
+        moved = self._linearised(segment.record, guess)
+        if moved.summary.cost > max(before.cost, before.moved(ends).cost) + NEAR:
+            raise np.linalg.LinAlgError("the motion is unlikely")
+        return moved
+
+    def _linearised(self, record: Record, guess: Guess) -> Segment:
+        equations = Residuals(self._library, record).linearised(guess, self._noise)
+        return Segment(record, guess.x, equations.summary(guess, self._scale))
 
     def _forward(self, p: FloatArray) -> list[Factor]:
         """Information about (p, first node) of each segment from all before it, and about (p, last node) from all."""

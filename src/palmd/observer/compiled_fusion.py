@@ -251,7 +251,12 @@ class CompiledBank(Bank):
         self.routines.read_pad(*self.at(rig, palms), self.reading(sample, rig), variance, repeated)
 
     def fuse_events(
-        self, rig: CompiledRig, palms: TrackedPalms, events: Sequence[Event], variances: FloatArray, shared: FloatArray,
+        self,
+        rig: CompiledRig,
+        palms: TrackedPalms,
+        events: Sequence[Event],
+        variances: FloatArray,
+        shared: FloatArray,
         t: float,
     ) -> tuple[float, int]:
         """As `ShapeFilters.fuse_events`."""
@@ -312,7 +317,9 @@ class CompiledHistory:
     def __init__(self, banks: Iterable[CompiledBank], variances: FloatArray, shared: FloatArray):
         """`banks`: all banks that will be used; `variances`: of each pad's readings (m²)."""
         self._memory = {id(bank): [_blank(bank) for _ in range(EVENTS)] for bank in banks}
-        self.now = _Fusion(t=-math.inf, t_start=math.inf, variances=tuple(variances.tolist()), shared=tuple(shared.tolist()))
+        self.now = _Fusion(
+            t=-math.inf, t_start=math.inf, variances=tuple(variances.tolist()), shared=tuple(shared.tolist())
+        )
         self._address = ctypes.addressof(self.now)
 
     def use(self, bank: CompiledBank, t_faded: FloatArray, early: bool) -> None:

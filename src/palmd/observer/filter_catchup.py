@@ -10,8 +10,8 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, Improvement, PalmSample
 from palmd.model.smoothing import ORDER
-from palmd.observer.pad_map import shared_readings
 from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.pad_map import shared_readings
 from palmd.system.description import RigDescription
 
 LEAST_READINGS = 30  # fused before its mean NIS is meaningful

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from palmd.model.friction import FRICTION_ERROR_S
 from palmd.model.smoothing import C
 from palmd.observer.chain import SEGMENT_S, Chain
 from palmd.observer.coverage import marks_of
@@ -32,6 +33,7 @@ LEAST_S = 1.0  # s of readings at the end of a segment that are worth an iterati
 OPEN_S = 1.5  # s of the latest readings at least that are in no segment
 REACH_S = 1.0  # s of new readings in one step (choice: half a segment)
 LOST_S = 6.0  # s of unexplained readings after which the object is lost and a new search starts
+BEGINNING_S = 0.4  # s of the motion known so far from which it is found again (choice: as `search.PLACED_S`)
 TAIL_S = 0.5  # s of readings dropped before a loss, in which the object may have been held by hand
 
 
@@ -52,6 +54,12 @@ class Solution:
         """Duration of the explained readings (s)."""
         return self.end - self.search.segment.start
 
+    @property
+    def strained(self) -> bool:
+        """Whether the motion needs larger errors of friction than one of 1σ in each `FRICTION_ERROR_S`."""
+        record = self.finding.record
+        return self.finding.fits[0].process_cost > float(record.t[-1] - record.t[0]) / FRICTION_ERROR_S
+
     def with_correlated_errors(self, alone: bool = False) -> Solution:
         """As `Search.with_correlated_errors`; without rivals."""
         record, fit = self.search.with_correlated_errors(self.finding.record, self.finding.fits[0], alone)
@@ -62,10 +70,21 @@ class Solution:
         """The posterior of the best fit under the search's prior; None if it is not a minimum."""
         return self.search.smoother(self.finding.record).posterior_if_any(self.finding.fits[0])
 
+    @property
+    def evidence(self) -> float:
+        """Log evidence of the best fit, as of `Posterior`; -inf if it is not a minimum."""
+        return -math.inf if self.posterior is None else self.posterior.evidence
+
     @cached_property
     def belief(self) -> RigBelief:
         """The search's belief in the rig, revised by the posterior."""
         return self.search.belief.after(self.posterior)
+
+
+def likelier(one: Solution | None, other: Solution | None) -> Solution | None:
+    """The solution that explains more readings, or the same with more evidence; None if there is neither."""
+    found = [each for each in (one, other) if each is not None]
+    return max(found, key=lambda each: (round(each.end / SPACING_S), each.evidence), default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,20 +211,34 @@ class FixedLagSmoother:
         return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
 
     def _smoothed(self, segment: DataSegment, guess: Guess, budget: Budget) -> Solution | None:
-        """A solution that explains the readings; None if there is none."""
+        """A solution that explains the readings; None if there is none.
+
+        Where the motion known so far leads to none, or to a strained one, its end may be wrong: then the motion is
+        found again from its beginning.
+        """
+        solution = self._fitted(segment, guess, budget)
+        if budget.left > 0.0 and (solution is None or solution.strained):
+            beginning = Guess(guess.x[: round(BEGINNING_S / SPACING_S)], guess.p)
+            solution = likelier(solution, self._fitted(segment, beginning, budget))
+        if solution is None:
+            return None
+        solution = solution.with_correlated_errors()
+        return solution if explained(solution.finding.fits[0], solution.finding.record) else None
+
+    def _fitted(self, segment: DataSegment, guess: Guess, budget: Budget) -> Solution | None:
+        """A minimum that explains the readings, with white noise; None if there is none."""
         search = self._search(segment, guess, budget)
         finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], predict_forces=True, strict=False)
         # resting palms are no reason to reject a solution here
-        if finding is None or not finding.fits[0].settled or not search.explained(finding.fits[0], finding.record):
+        if finding is None or not finding.fits[0].settled or not explained(finding.fits[0], finding.record):
             return None
-        solution = Solution(search, finding).with_correlated_errors()
-        return solution if explained(solution.finding.fits[0], solution.finding.record) else None
+        return Solution(search, finding)
 
     def _search(self, segment: DataSegment, guess: Guess, budget: Budget) -> Search:
         """A search of the open part up to the end of `segment`, with the chain's information as prior."""
         return Search(
             segment, self._rig, PATIENCE, self._chain.known(guess.p), self._open.start, self._open.resting_since,
-            self._belief, self._most_forces, budget, math.inf,
+            self._belief, self._most_forces, budget,
         )  # fmt: skip
 
     def _update_open(self, solution: Solution) -> None:

@@ -66,7 +66,9 @@ class Fusion:
         self._first = banks[0]
         compiled = [filters.bank for filters in banks if isinstance(filters.bank, CompiledBank)]
         self.history: History | CompiledHistory = (
-            CompiledHistory(compiled, self._variances, shared_readings(rig)) if compiled else History([filters.bank for filters in banks])
+            CompiledHistory(compiled, self._variances, shared_readings(rig))
+            if compiled
+            else History([filters.bank for filters in banks])
         )
         self.reset()
 

@@ -158,7 +158,7 @@ class IncrementalSmoother:
     def _smooth(self, segment: DataSegment, fixed_lag: FixedLagSmoother) -> Solution | None:
         solution = fixed_lag.smoothed(segment)
         self._unexplained = solution is None
-        if solution is None and self._on_trial:
+        if self._on_trial and (solution is None or solution.strained):
             self._restart_search()
             self._drop_before(segment.end - RENEWED_S)
             return None

@@ -208,11 +208,15 @@ class NormalEquations(Misfit):
             np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[side, kept], scale
         )
 
-    def inner_step(self) -> FloatArray:
-        """The Newton step of the nodes (K + 1, 2) with p and both ends fixed."""
-        inner = slice(NODE, len(self.rows) - NODE)
-        step = np.zeros((len(self.rows) // NODE, NODE))
-        step[1:-1] = _nodes_solved(self.banded[:, inner], self.node_side[inner])
+    def inner_step(self, ends: FloatArray) -> FloatArray:
+        """The Newton step of the nodes (K + 1, 2) with a given step of (p, first node, last node)."""
+        n, side = len(self.rows), self.constants
+        inner, step = slice(NODE, n - NODE), np.zeros((n // NODE, NODE))
+        step[0], step[-1] = ends[side : side + NODE], ends[side + NODE :]
+        pull = self.node_side[inner] - self.border[inner] @ ends[:side]
+        pull[:NODE] -= _below(self.banded, 0) @ step[0]
+        pull[-NODE:] -= _below(self.banded, n - 2 * NODE).T @ step[-1]
+        step[1:-1] = _nodes_solved(self.banded[:, inner], pull)
         return step
 
 

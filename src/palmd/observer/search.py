@@ -142,13 +142,12 @@ class Search:
         belief: RigBelief | None = None,
         most_forces: Sequence[float] = NO_FORCES,
         budget: Budget | None = None,
-        most_prior_cost: float = MOST_PRIOR_COST,
     ):
         """Lay out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         known: knowledge of the constants and the first node, by default the blind prior. patience: how many windows in
         all may fail and be tried again shorter. resting_since, most_forces: as in `lay_out`. belief: in the rig, by
-        default its description. budget: shared by all fits; by default unlimited. most_prior_cost: see `explained`.
+        default its description. budget: shared by all fits; by default unlimited.
         """
         self.rig = rig
         self._patience = patience
@@ -162,7 +161,6 @@ class Search:
         self.belief = belief or RigBelief.of(rig)
         self.noise = noise_on(rig)
         self._budget = budget or Budget()
-        self._most_prior_cost = most_prior_cost
 
     def with_belief(self, belief: RigBelief) -> Search:
         """The same segment, to be searched under another belief in the rig."""
@@ -297,7 +295,7 @@ class Search:
                 break
             smoother = self.smoother(record)
             fit = smoother.fit(guess, self.noise)
-            if not self.explained(fit, record):
+            if not explained(fit, record):
                 break  # the friction law is not the cause
             if fit.settled:
                 return Minima(record, (fit,), found.work)
@@ -313,7 +311,7 @@ class Search:
         if predict_forces:
             self.record = smoother.with_predicted_forces(starts[0])
         found = self.minima(self.record, starts, HASTY)
-        return found if self.explained(found.fits[0], found.record) else None
+        return found if explained(found.fits[0], found.record) else None
 
     def from_constants(self, p: FloatArray) -> Minima | None:
         """Start from the constants `p`, at rest at the likeliest orientations; None where none of them is explained.
@@ -344,7 +342,7 @@ class Search:
         loosens: a rejected window is tried again with more process noise at first, and the progress so far is returned.
         """
         found = self.minima(record, guesses)
-        if len(record.t) < len(self.record.t) and not self.explained(found.fits[0], found.record):
+        if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
             return None
         failures = work = 0
         while len(found.record.t) < len(self.record.t):
@@ -352,7 +350,7 @@ class Search:
             longer = self._window(self._longer(found.record, found.fits[0]), now, known, loosens)
             work += longer.work
             # near an unstable equilibrium a long window may end on the wrong side
-            while not (self._settled(longer) if loosens else self.explained(longer.fits[0], longer.record)):
+            while not (self._settled(longer) if loosens else explained(longer.fits[0], longer.record)):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
                     if len(longer.record.t) == len(self.record.t):
@@ -404,13 +402,9 @@ class Search:
         """Whether a finding explains the readings to their end; `resumed` may return a shorter part."""
         return len(finding.record.t) == len(self.record.t)
 
-    def explained(self, fit: Fit, record: Record) -> bool:
-        """As the function of that name, with this search's limit of the prior cost."""
-        return explained(fit, record, self._most_prior_cost)
-
     def _settled(self, found: Minima) -> bool:
         best = found.fits[0]
-        return best.settled and self.explained(best, found.record)
+        return best.settled and explained(best, found.record)
 
     def smoother(self, record: Record) -> Smoother:
         """Smoother of a part of the segment, with this search's knowledge."""
@@ -431,7 +425,7 @@ class Search:
         record = with_shared_errors(self.smoother(record).with_discrepancy(fit.guess), self.rig, alone)
         smoother = Smoother(self.library, record, self.known)
         nearby = smoother.fit(fit.guess, fit.noise, GRADUATED_ITERATIONS)
-        if self.explained(nearby, record):
+        if explained(nearby, record):
             return record, nearby
         deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), fit.noise)
         return record, min(nearby, deeper, key=lambda each: each.cost)
@@ -453,7 +447,7 @@ class Search:
         best_evidence, rival, explaining = -math.inf, best, list[int]()
         for motion in motions:
             fit = smoother.fit(self._turning_circle(best.guess.p, motion), self.noise, MOTION_ITERATIONS)
-            if not self.explained(fit, finding.record):
+            if not explained(fit, finding.record):
                 continue
             explaining.append(motion)
             posterior_of_rival = None if _difference(fit, best) <= DIFFERENT_M else smoother.posterior_if_any(fit)
@@ -550,15 +544,12 @@ def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
     return tuple(distinct)
 
 
-def explained(fit: Fit, record: Record, most_prior_cost: float = MOST_PRIOR_COST) -> bool:
-    """Whether contacts and forces are explained to their noise, by a motion of the model and a likely object.
-
-    most_prior_cost: limit of the prior cost (twice a log-likelihood).
-    """
+def explained(fit: Fit, record: Record) -> bool:
+    """Whether contacts and forces are explained to their noise, by a motion of the model and a likely object."""
     forces = len(record.force_value)
     process_cost_high, prior_cost_high = (
         fit.process_cost > MOST_PROCESS_COST * len(record.contact_value),
-        fit.prior_cost > most_prior_cost,
+        fit.prior_cost > MOST_PRIOR_COST,
     )
     if process_cost_high or prior_cost_high or fit.outlier_run > DIVERGED_READINGS:
         return False

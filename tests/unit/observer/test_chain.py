@@ -100,7 +100,7 @@ def test_a_segment_that_cannot_be_relinearised_is_unchanged(smoothed, monkeypatc
         raise np.linalg.LinAlgError("not positive definite")
 
     monkeypatch.setattr(Chain, "_linearised", unsolvable)
-    assert chain.renew(p, before.about[CONSTANTS:])
+    assert not chain.renew(p, before.about[CONSTANTS:])
     assert chain.known(p).matrix == pytest.approx(before.matrix)
 
 

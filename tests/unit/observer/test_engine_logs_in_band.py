@@ -55,7 +55,8 @@ def test_a_narrow_minimum_of_lower_cost_is_not_preferred(tmp_path: Path) -> None
     found = beginning.blind(attempts_for(log.rig)[0], 3)
     assert found is not None
     deepened = longer.deepened(longer.resumed([found.fits[0].guess]))
-    assert deepened is not None and longer.covers(deepened)
+    assert deepened is not None
+    assert longer.covers(deepened)
     p = deepened.fits[0].guess.p
     assert abs(p[C.DRAG] * p[C.SATURATION] ** -0.5 - truth["mu"]) < 0.05
 
