@@ -100,7 +100,7 @@ class Chain:
         """Relinearise segments that are too far from the constants `p` and the last node `x`; returns their number.
 
         The latest first: their readings are about the part of the outline where the motion is. A segment keeps its
-        previous linearisation where its nodes do not converge, or to an unlikely motion.
+        previous linearisation where its nodes do not converge, or to a less likely motion.
         """
         ends, renewed = self._ends(p, x), 0
         stale = [i for i, segment in enumerate(self._segments) if not segment.near(ends[i])]
@@ -123,7 +123,7 @@ class Chain:
     def _moved(self, segment: Segment, ends: FloatArray) -> Segment:
         """The segment, linearised at other (p, first node, last node) with its nodes at the minimum of the cost.
 
-        Raises LinAlgError where the nodes do not converge, or to a cost higher than before and than predicted.
+        Raises LinAlgError where the nodes do not converge, or to a less likely motion.
         """
         residuals, before = Residuals(self._library, segment.record), segment.summary
         guess, step = Guess(segment.x, before.about[:CONSTANTS]), ends - before.about
@@ -135,8 +135,8 @@ class Chain:
         else:
             raise np.linalg.LinAlgError("the nodes do not converge")
         moved = self._linearised(segment.record, guess)
-        if moved.summary.cost > max(before.cost, before.moved(ends).cost) + NEAR:
-            raise np.linalg.LinAlgError("the motion is unlikely")
+        if moved.summary.cost > before.cost + NEAR:
+            raise np.linalg.LinAlgError("the motion is less likely")
         return moved
 
     def _linearised(self, record: Record, guess: Guess) -> Segment:

@@ -104,6 +104,22 @@ def test_a_segment_that_cannot_be_relinearised_is_unchanged(smoothed, monkeypatc
     assert chain.known(p).matrix == pytest.approx(before.matrix)
 
 
+@pytest.mark.parametrize("times", [0.3, 1.5, 5.0])
+def test_constants_that_were_wrong_for_a_moment_leave_nothing_behind(smoothed, times):
+    """With other friction the motion of most segments is not found; what the iteration ends in is no linearisation."""
+    guess = smoothed[1].fits[0].guess
+    wrong = guess.p.copy()
+    wrong[C.DRAG] *= times
+    chain = cut(smoothed)
+    before = chain.known(guess.p)
+    for p in (wrong, wrong, guess.p, guess.p):
+        chain.renew(p, guess.x[-1])
+    after = chain.known(guess.p)
+    sd = np.sqrt(np.diagonal(np.linalg.inv(before.matrix)))
+    assert np.abs(after.solved(after.side) / sd).max() < 0.5
+    assert np.sqrt(np.diagonal(np.linalg.inv(after.matrix))) == pytest.approx(sd, rel=0.1)
+
+
 def test_an_hour_needs_no_more_memory_than_two_minutes(smoothed):
     search, finding = smoothed
     chain, guess = Chain(search.library, NOISE, search.prior, kept=5), finding.fits[0].guess
