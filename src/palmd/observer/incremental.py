@@ -23,7 +23,7 @@ from palmd.observer.first_guess import constants_of
 from palmd.observer.fixed_lag_smoother import TAIL_S, FixedLagSmoother, Solution
 from palmd.observer.initialiser import LEAST_S, RENEWED_S, SUFFICIENT_S, Initialiser
 from palmd.observer.matching import ObjectInformation
-from palmd.observer.noise import map_as_noise
+from palmd.observer.noise import MAP_READINGS, map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import contact_normals, made_convex
 from palmd.observer.reidentification import reidentified
@@ -57,7 +57,7 @@ class IncrementalSmoother:
 
     def __init__(self, rig: RigDescription, seed: int = 0):
         """`seed`: for the starts of blind searches."""
-        self._rig = map_as_noise(rig)
+        self._rig = map_as_noise(rig, MAP_READINGS)
         self._seed = seed
         self._session = NO_SESSION
         self._hint: FloatArray | None = None
