@@ -58,7 +58,7 @@ class PlainShapeFilters(ShapeFilters):
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
 
     def fuse_events(
-        self, events: Sequence[Event], t: float, palms: PalmTracker, variances: FloatArray
+        self, events: Sequence[Event], t: float, palms: PalmTracker, variances: FloatArray, shared: FloatArray
     ) -> tuple[float, int]:
         read = 0
         for event in events:
@@ -67,7 +67,8 @@ class PlainShapeFilters(ShapeFilters):
             elif isinstance(event, PadSample) and (sample := self.rig_error.on_time(event)).t_sample >= t:
                 self.propagate(t, sample.t_sample, palms, math.inf)
                 t = sample.t_sample
-                self.fuse_pad(sample, float(variances[sample.pad - 1]), palms, palms.repeated)
+                repeated = max(palms.repeated, float(shared[sample.pad - 1]))
+                self.fuse_pad(sample, float(variances[sample.pad - 1]), palms, repeated)
                 read += 1
         return t, read
 

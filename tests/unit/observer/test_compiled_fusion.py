@@ -19,6 +19,7 @@ from palmd.observer.compiled_fusion import CompiledPalms, Routines
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.fusion import PLAUSIBLE, Fusion
 from palmd.observer.history import EVENTS
+from palmd.observer.noise import map_as_noise
 from palmd.observer.palms import FORGOTTEN_S, PalmTracker
 from palmd.observer.prior import GYRATION, blind_start
 from palmd.observer.rig_error import RigError
@@ -117,11 +118,29 @@ def test_compiled_event_sequences_agree_with_numpy(kind):
     results = []
     for each, tracked in zip(filters, palms, strict=True):
         each.rig_error.values[R.LAG : R.LAG + 2] = 2e-3, -1e-3
-        results.append(each.fuse_events(events, 0.03, tracked, np.array([1e-6, 2e-6])))
+        results.append(each.fuse_events(events, 0.03, tracked, np.array([1e-6, 2e-6]), np.array([1.0, 70.0])))
     assert results[0] == results[1] == (pytest.approx(0.0635), 4)
     same(filters, 1e-9)
     np.testing.assert_allclose(palms[0].at(0.07), palms[1].at(0.07), rtol=1e-10)
-    assert filters[0].fuse_events([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2)) == (0.07, 0)
+    assert filters[0].fuse_events([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2), np.ones(2)) == (0.07, 0)
+
+
+def test_readings_that_share_an_error_of_place_tell_a_continued_estimate_less():
+    """A pad with 0.1 mm of smooth error, against one with as much noise of each reading."""
+    smooth = map_as_noise(RigDescription().with_pads(map_sd=1e-4))
+    independent = replace(smooth, pads=tuple(replace(pad, map_sd=0.0, map_noise=0.0) for pad in smooth.pads))
+    left = []
+    for rig in (smooth, independent):
+        (filters, _), (palms, _) = pair(rig, 1, ORDER)
+        filters.spread = np.zeros((filters.bank.n, RIG_CONSTANTS))
+        predicted = filters.named(0, 0.03, 0.001, palms)[0][NAMED.index("s1")]
+        fusion = Fusion(rig, [filters])
+        fusion.use_single_filter(filters, filters.bank.x[0].copy(), filters.bank.P[0].copy(), 1.0)
+        fusion.t = fusion.t_start = 0.03
+        fusion.add_palm_report(PalmSample(0.03, (0.809, 1.5991), (0.3, -0.06), (0.0, -2.0)))
+        fusion.add(PadSample(0.031, 1, predicted, 1.0))
+        left.append(np.linalg.slogdet(filters.bank.P[0])[1])
+    assert left[0] > left[1] + 0.1
 
 
 @pytest.mark.parametrize("kind", RIGS)
