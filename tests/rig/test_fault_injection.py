@@ -84,6 +84,16 @@ def test_every_injection_is_tested():
     }
 
 
+@pytest.fixture(autouse=True)
+def _nothing_stays_injected(request):
+    """A test that fails in the midst of a fault must not leave it to those that follow on the same bench."""
+    yield
+    if "bench" in request.fixturenames:
+        bench = request.getfixturevalue("bench")
+        for injected in bench.rig_status()["injected_faults"]:
+            bench.ask_rig("clear", name=injected.partition("@")[0])
+
+
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_the_daemon_reacts_as_the_table_says(bench, case):
     bench.run_plan()
