@@ -26,7 +26,7 @@ READINGS_KEPT = 60  # segments whose readings are kept: two minutes
 RELINEARISED = 12  # segments relinearised in one call at most, which bounds the cost of an estimate
 NEAR = 2.0  # squared Mahalanobis distance, by a segment's own readings, by which p and its ends may move
 INNER_STEPS = 6  # Newton steps of a segment's nodes after its ends and the constants have moved, at most
-CONVERGED = 1e-4  # rad and rad/s of the last of them (choice: below what a second of readings tells of a node)
+CONVERGED = 1e-4  # rad and rad/s of the last of them (choice: well below the 1σ of a node)
 MOST_SETTLING = 6  # iterations after the prior of the rig has changed
 _NODE = slice(CONSTANTS, SIZE)
 

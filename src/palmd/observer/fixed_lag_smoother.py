@@ -55,8 +55,8 @@ class Solution:
         return self.end - self.search.segment.start
 
     @property
-    def strained(self) -> bool:
-        """Whether the motion needs larger errors of friction than one of 1σ in each `FRICTION_ERROR_S`."""
+    def contradicts_friction(self) -> bool:
+        """Whether the motion needs larger errors of the friction law than one of 1σ in each `FRICTION_ERROR_S`."""
         record = self.finding.record
         return self.finding.fits[0].process_cost > float(record.t[-1] - record.t[0]) / FRICTION_ERROR_S
 
@@ -81,7 +81,7 @@ class Solution:
         return self.search.belief.after(self.posterior)
 
 
-def likelier(one: Solution | None, other: Solution | None) -> Solution | None:
+def _likelier(one: Solution | None, other: Solution | None) -> Solution | None:
     """The solution that explains more readings, or the same with more evidence; None if there is neither."""
     found = [each for each in (one, other) if each is not None]
     return max(found, key=lambda each: (round(each.end / SPACING_S), each.evidence), default=None)
@@ -213,20 +213,20 @@ class FixedLagSmoother:
     def _smoothed(self, segment: DataSegment, guess: Guess, budget: Budget) -> Solution | None:
         """A solution that explains the readings; None if there is none.
 
-        Where the motion known so far leads to none, or to a strained one, its end may be wrong: then the motion is
-        found again from its beginning.
+        Where the motion known so far leads to none, or to one that contradicts the law of friction, its end may be
+        wrong: then the motion is found again from its beginning.
         """
         solution = self._fitted(segment, guess, budget)
-        if budget.left > 0.0 and (solution is None or solution.strained):
+        if budget.left > 0.0 and (solution is None or solution.contradicts_friction):
             beginning = Guess(guess.x[: round(BEGINNING_S / SPACING_S)], guess.p)
-            solution = likelier(solution, self._fitted(segment, beginning, budget))
+            solution = _likelier(solution, self._fitted(segment, beginning, budget))
         if solution is None:
             return None
         solution = solution.with_correlated_errors()
         return solution if explained(solution.finding.fits[0], solution.finding.record) else None
 
     def _fitted(self, segment: DataSegment, guess: Guess, budget: Budget) -> Solution | None:
-        """A minimum that explains the readings, with white noise; None if there is none."""
+        """A minimum that explains the readings, without correlated errors; None if there is none."""
         search = self._search(segment, guess, budget)
         finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], predict_forces=True, strict=False)
         # resting palms are no reason to reject a solution here

@@ -158,7 +158,7 @@ class IncrementalSmoother:
     def _smooth(self, segment: DataSegment, fixed_lag: FixedLagSmoother) -> Solution | None:
         solution = fixed_lag.smoothed(segment)
         self._unexplained = solution is None
-        if self._on_trial and (solution is None or solution.strained):
+        if self._on_trial and (solution is None or solution.contradicts_friction):
             self._restart_search()
             self._drop_before(segment.end - RENEWED_S)
             return None

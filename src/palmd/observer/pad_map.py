@@ -83,7 +83,7 @@ def with_shared_errors(record: Record, rig: RigDescription, alone: bool = False)
 
 
 def shared_readings(rig: RigDescription) -> FloatArray:
-    """Of each pad: readings that share one error, for a filter without a map that continues a smoother's estimate.
+    """Number of each pad's readings that share one error, for a filter that continues a smoother's estimate.
 
     rig: with its maps as noise of single readings (`map_as_noise`).
     """

@@ -125,7 +125,7 @@ def test_compiled_event_sequences_agree_with_numpy(kind):
     assert filters[0].fuse_events([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2), np.ones(2)) == (0.07, 0)
 
 
-def test_readings_that_share_an_error_of_place_tell_a_continued_estimate_less():
+def test_readings_that_share_an_error_of_place_determine_an_estimate_less():
     """A pad with 0.1 mm of smooth error, against one with as much noise of each reading."""
     smooth = map_as_noise(RigDescription().with_pads(map_sd=1e-4))
     independent = replace(smooth, pads=tuple(replace(pad, map_sd=0.0, map_noise=0.0) for pad in smooth.pads))
