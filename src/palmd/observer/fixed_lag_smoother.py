@@ -23,8 +23,8 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import ObjectInformation, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import contact_normals
-from palmd.observer.search import LIVE_BUDGET, SPACING_S, Minima, Search, explained
-from palmd.observer.smoother import Budget, Posterior
+from palmd.observer.search import LIVE_BUDGET, PLACED_S, SPACING_S, Minima, Search, explained
+from palmd.observer.smoother import Budget, Posterior, evidence_of
 
 PATIENCE = 6
 """Windows that may fail before an object is given up (study 2026-11-29, simulated explorations 70011 to 70018: with 2,
@@ -33,7 +33,6 @@ LEAST_S = 1.0  # s of readings at the end of a segment that are worth an iterati
 OPEN_S = 1.5  # s of the latest readings at least that are in no segment
 REACH_S = 1.0  # s of new readings in one step (choice: half a segment)
 LOST_S = 6.0  # s of unexplained readings after which the object is lost and a new search starts
-BEGINNING_S = 0.4  # s of the motion known so far from which it is found again (choice: as `search.PLACED_S`)
 TAIL_S = 0.5  # s of readings dropped before a loss, in which the object may have been held by hand
 
 
@@ -70,11 +69,6 @@ class Solution:
         """The posterior of the best fit under the search's prior; None if it is not a minimum."""
         return self.search.smoother(self.finding.record).posterior_if_any(self.finding.fits[0])
 
-    @property
-    def evidence(self) -> float:
-        """Log evidence of the best fit, as of `Posterior`; -inf if it is not a minimum."""
-        return -math.inf if self.posterior is None else self.posterior.evidence
-
     @cached_property
     def belief(self) -> RigBelief:
         """The search's belief in the rig, revised by the posterior."""
@@ -83,8 +77,9 @@ class Solution:
 
 def _likelier(one: Solution | None, other: Solution | None) -> Solution | None:
     """The solution that explains more readings, or the same with more evidence; None if there is neither."""
-    found = [each for each in (one, other) if each is not None]
-    return max(found, key=lambda each: (round(each.end / SPACING_S), each.evidence), default=None)
+    if one is None or other is None:
+        return one or other
+    return max(one, other, key=lambda each: (round(each.end / SPACING_S), evidence_of(each.posterior)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +213,7 @@ class FixedLagSmoother:
         """
         solution = self._fitted(segment, guess, budget)
         if budget.left > 0.0 and (solution is None or solution.contradicts_friction):
-            beginning = Guess(guess.x[: round(BEGINNING_S / SPACING_S)], guess.p)
+            beginning = Guess(guess.x[: round(PLACED_S / SPACING_S)], guess.p)
             solution = _likelier(solution, self._fitted(segment, beginning, budget))
         if solution is None:
             return None

@@ -77,7 +77,7 @@ def with_shared_errors(record: Record, rig: RigDescription, alone: bool = False)
     much noise, so it cannot be used to test a fit.
     """
     shared_readings = SHARED_READINGS * (min(total_duration(record.spans) / SHARED_S, 1.0) if alone else 1.0)
-    variances = np.array([max(shared_readings * pad.map_sd**2 - pad.map_noise**2, 0.0) for pad in rig.pads])
+    variances = np.array([_added_variance(pad, shared_readings) for pad in rig.pads])
     shared = variances[record.contact_pad.astype(np.intp) - 1]
     return replace(record, contact_variance=record.contact_variance + shared)
 
@@ -87,9 +87,12 @@ def shared_readings(rig: RigDescription) -> FloatArray:
 
     rig: with its maps as noise of single readings (`map_as_noise`).
     """
-    return np.array(
-        [1.0 + (SHARED_READINGS * pad.map_sd**2 - pad.map_noise**2) / pad.reading_variance for pad in rig.pads]
-    )
+    return np.array([1.0 + _added_variance(pad, SHARED_READINGS) / pad.reading_variance for pad in rig.pads])
+
+
+def _added_variance(pad: PadSensor, readings: float) -> float:
+    """What to add to the variance of a reading (m²) if so many `readings` share the pad's error."""
+    return max(readings * pad.map_sd**2 - pad.map_noise**2, 0.0)
 
 
 def _functions(pad: PadSensor, contacts: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:

@@ -30,7 +30,7 @@ from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import NO_FORCES, Record, lay_out
-from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother
+from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother, evidence_of
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -278,8 +278,10 @@ class Search:
         smoother, fits = self.smoother(found.record), list[Fit]()
         for fit in found.fits:
             deeper = smoother.fit(self._loosely_fitted(smoother, fit.guess), self.noise)
-            better = deeper.settled and deeper.cost < fit.cost and _is_likelier(smoother, deeper, fit)
-            fits.append(deeper if better else fit)
+            better = deeper.settled and deeper.cost < fit.cost
+            known = smoother.posterior_if_any(fit) if better and fit.settled else None
+            likelier = better and evidence_of(smoother.posterior_if_any(deeper)) > evidence_of(known)
+            fits.append(deeper if likelier else fit)
         return replace(found, fits=_distinct(fits))
 
     def with_friction_discrepancy(self, found: Minima) -> Minima:
@@ -495,13 +497,6 @@ def minima(
         found = [smoother.fit(fit.guess, noise) for fit in fits]
         fits, iterations = _distinct(found), iterations + sum(fit.iterations for fit in found)
     return Minima(noisier, fits, iterations * len(record.t))
-
-
-def _is_likelier(smoother: Smoother, one: Fit, other: Fit) -> bool:
-    """Whether a minimum has more evidence than the `other` fit, or that is no minimum."""
-    posterior = smoother.posterior_if_any(one)
-    of_other = smoother.posterior_if_any(other) if other.settled else None
-    return posterior is not None and (of_other is None or posterior.evidence > of_other.evidence)
 
 
 def noise_on(rig: RigDescription) -> ProcessNoise:

@@ -240,6 +240,11 @@ class Smoother(Residuals):
             return None
 
 
+def evidence_of(posterior: Posterior | None) -> float:
+    """The log evidence, -inf where a fit is no minimum."""
+    return -math.inf if posterior is None else posterior.evidence
+
+
 def _largest_decrease(predicted: float, decrease: float) -> float:
     """Largest decrease of the cost along a step, by the parabola with the predicted slope and the actual end."""
     return predicted**2 / (2.0 * predicted - decrease)

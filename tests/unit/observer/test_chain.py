@@ -8,7 +8,7 @@ from palmd.model.smoothing import CONSTANTS, C, R
 from palmd.observer import chain as chain_module
 from palmd.observer.chain import Chain
 from palmd.observer.data_segment import longest_segment
-from palmd.observer.normal_equations import Guess
+from palmd.observer.normal_equations import Guess, NormalEquations
 from palmd.observer.search import NOISE, Attempt, Search
 from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
@@ -99,7 +99,7 @@ def test_a_segment_that_cannot_be_relinearised_is_unchanged(smoothed, monkeypatc
     def unsolvable(*_):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr(Chain, "_linearised", unsolvable)
+    monkeypatch.setattr(NormalEquations, "inner_step", unsolvable)
     assert not chain.renew(p, before.about[CONSTANTS:])
     assert chain.known(p).matrix == pytest.approx(before.matrix)
 
