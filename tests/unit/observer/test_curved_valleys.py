@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import lzma
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from stored_log import DATA, stored_log
 
 from palmd.events import Improvement
 from palmd.model.smoothing import C, R
@@ -20,23 +20,16 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search, explained
 from palmd.observer.smoothing import Session, period
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import EventLog
 from palmd.score import score_outline
 
-DATA = Path(__file__).parents[2] / "data"
 COST_FROM_TRUTH = 442.6
 """Of the fit that starts from the true object and motion."""
 
 
-def stored(name: str, folder: Path) -> EventLog:
-    path = folder / "run.jsonl"
-    path.write_bytes(lzma.decompress((DATA / f"{name}.jsonl.xz").read_bytes()))
-    return read_log(path)
-
-
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> EventLog:
-    return stored("mujoco-ellipse", tmp_path_factory.mktemp("logs"))
+    return stored_log("mujoco-ellipse", tmp_path_factory.mktemp("logs"))
 
 
 def test_a_search_reaches_the_bottom_of_a_curved_valley(log: EventLog) -> None:
@@ -67,7 +60,7 @@ def test_a_refit_with_shared_errors_leaves_a_wrong_minimum(log: EventLog) -> Non
 
 def test_a_wrong_end_of_the_motion_is_found_again_from_its_beginning(tmp_path: Path) -> None:
     """Continued from the motion known so far, the last step is not explained, for seven of nine times of the first."""
-    log = stored("mujoco-exploration", tmp_path)
+    log = stored_log("mujoco-exploration", tmp_path)
     smoother, start, until = IncrementalSmoother(log.rig), log.events[0].t_sample, 0.1
     smoother.add(Session(1, start), [event for event in log.events if event.t_sample - start < until])
     while until < 17.0:

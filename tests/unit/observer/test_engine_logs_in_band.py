@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import lzma
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from stored_log import DATA, stored_log
 
 from palmd.events import Improvement
 from palmd.model import shape, shape_map
@@ -23,16 +23,12 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search
 from palmd.observer.smoothing import Session
 from palmd.observer.stuck_palms import dithered, without_dithered_forces
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import EventLog
 from palmd.score import score_outline
-
-DATA = Path(__file__).parents[2] / "data"
 
 
 def logged(name: str, folder: Path) -> tuple[EventLog, dict[str, Any]]:
-    path = folder / "run.jsonl"
-    path.write_bytes(lzma.decompress((DATA / f"{name}.jsonl.xz").read_bytes()))
-    return read_log(path), json.loads((DATA / f"{name}.truth.json").read_text())
+    return stored_log(name, folder), json.loads((DATA / f"{name}.truth.json").read_text())
 
 
 @pytest.fixture(scope="module")
