@@ -14,7 +14,7 @@ _shtab_palmd_commands() {
     check:'validate configurations and motion plans'
     ctl:'command a running daemon'
     demo:'run an emulated rig and the daemon on an unknown object'
-    doctor:'find what is missing or misconfigured, and test the arm and the pads'
+    doctor:'find what is missing or misconfigured, and test the pads'
     estimate:'run the daemon'"'"'s observer over an event log or a recorded run'
     export:'convert a recorded run to an event log, CSV, MCAP with JSON, or rerun'"'"'s format'
     init:'write a configuration from questions about the rig'
@@ -432,12 +432,7 @@ _shtab_palmd_demo_rig_defaults_added=0
 
 _shtab_palmd_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--arm-conformance[check whether the arm\'s controller conforms to the arm link\'s protocol]"
-  "--actuator-conformance[the same for the configured actuator, an arm or servos]"
   "--touch[find which pad is which and its orientation, by touching them]"
-  "--port[the arm\'s port, instead of the configured one]:PATH:"
-  "--baud[the arm\'s baud rate, instead of the configured one]:baud:(1200 2400 4800 9600 19200 38400 57600 115200 1000000 2000000 3000000 4000000)"
-  "--yes[allow the arm to move without asking]"
   ":the rig\'s configuration (default\: \/etc\/palmd\/palmd.yaml, else the shipped one):_files"
 )
 

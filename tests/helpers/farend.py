@@ -2,12 +2,12 @@
 
 import math
 
-from palmd.devices.armconformance import CHECKS, examine
-from palmd.devices.armconformance_talk import Talk, TalkAnswer
 from palmd.devices.armlink import LineReader, Pose
 from palmd.rig.arm import Servo, wrap_angle
 from palmd.rig.controller import CYCLE_S, ArmLimits, Controller
 from palmd.rig.line import Wire
+from tools.conformance.arm_checks import CHECKS, examine
+from tools.conformance.arm_talk import Talk, TalkAnswer
 
 BAUD = 38400
 LIMITS = ArmLimits(-0.2, 0.4, -0.3, 0.3, v_max=0.5, a_max=5.0)

@@ -19,19 +19,19 @@ from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError, as_cli_error
 from palmd.console.progress import Progress
 from palmd.devices.actuator import ArmState, Pose
-from palmd.devices.armconformance_port import ArmLine
-from palmd.devices.armconformance_talk import DeviationError, Script, Talk
+from palmd.devices.armlistener import ArmListener
 from palmd.devices.port import PortUnavailableError
 from palmd.doctor.ports import holders
 
 FORMAT = 1
 FIRST_MOTION_S = 20.0
 """Longest time that the arm may stand still at the beginning."""
-EVERY_S = 0.02
+SILENT_S = 1.0
+"""Time (s) without an answer after which the controller does not run."""
+
 BY_HAND = (ArmState.MANUAL, ArmState.POWER_OFF)
 """The controller's states in which only a hand moves the arm."""
 
-_MAX_MISSED = 5  # consecutive answers
 _MIN_DISTANCE_M, _MIN_ANGLE_RAD = 1e-3, math.radians(0.5)  # between poses that count as different
 _MIN_TOOL_ERROR_RAD = math.radians(0.05)
 _MAX_RMS_M = 3e-4
@@ -114,46 +114,38 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
     for number, name in holders(path):
         if name == "palmd":
             raise CliError(RIG_FAILED, f"arm: {path} is held by palmd (process {number}): stop the daemon first")
-    try:
-        with ArmLine(path, config.arm.baud) as line, Progress("arm", math.ceil(seconds), "s") as progress:
-            return line.play(_record_swing(Talk(config.arm.baud), seconds, progress))
-    except PortUnavailableError as error:
-        raise CliError(RIG_FAILED, str(error)) from None
-    except DeviationError as error:
-        raise CliError(
-            RIG_FAILED, f"arm: {path} does not answer: {error}; is the controller's program running?"
-        ) from None
+    with as_cli_error(PortUnavailableError, status=RIG_FAILED), ArmListener(config.arm) as arm:
+        return _record_swing(arm, seconds)
 
 
-def _record_swing(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
-    """Query the arm's pose for that time after its first motion; distinct poses. Raises DeviationError, CliError."""
+def _record_swing(arm: ArmListener, seconds: float) -> list[Pose]:
+    """The arm's poses for that time after its first motion, distinct ones only."""
     poses: list[Pose] = []
-    missed = 0
-    t = time.monotonic()
+    t = t_answer = time.monotonic()
     t_begin, t_end = math.inf, t + FIRST_MOTION_S
-    while t < t_end:
-        try:
-            ack = yield from talk.report(t + EVERY_S)
-        except DeviationError:
-            missed += 1
-            if missed == _MAX_MISSED:
-                raise
-            t = (yield from talk.raw(b"")).t  # discard a late answer, which would be taken for the next one
-            continue
-        missed, t = 0, talk.t
-        if ack.state not in BY_HAND:
-            raise CliError(
-                RIG_FAILED,
-                f"arm: the controller is in state {ack.state}: switch it to manual mode (M) or its power off (P),"
-                " so that nothing but your hand moves the arm",
-            )
-        if not poses:
-            print("arm: swing both palms by hand through their whole range, each against the other", file=sys.stderr)
-        if not poses or _are_distinct(poses[-1], ack.pose):
-            poses.append(ack.pose)
-            if len(poses) == 2:
-                t_begin, t_end = t, t + seconds
-        progress.at(int(max(t - t_begin, 0.0)))
+    with Progress("arm", math.ceil(seconds), "s") as progress:
+        while t < t_end:
+            reports, t = arm.read(), time.monotonic()
+            t_answer = t if reports else t_answer
+            if t - t_answer > SILENT_S:
+                raise CliError(
+                    RIG_FAILED, f"arm: {arm.port.path} does not answer; is the controller's program running?"
+                )
+            for report in reports:
+                if report.state not in BY_HAND:
+                    raise CliError(
+                        RIG_FAILED,
+                        f"arm: the controller is in state {report.state}: switch it to manual mode (M) or its power"
+                        " off (P), so that nothing but your hand moves the arm",
+                    )
+                if not poses:
+                    print("arm: swing both palms by hand through their whole range, each against the other",
+                          file=sys.stderr)  # fmt: skip
+                if isinstance(report.pose, Pose) and (not poses or _are_distinct(poses[-1], report.pose)):
+                    poses.append(report.pose)
+                    if len(poses) == 2:
+                        t_begin, t_end = t, t + seconds
+            progress.at(int(max(t - t_begin, 0.0)))
     if len(poses) < 2:
         raise CliError(RIG_FAILED, f"arm: no motion within {FIRST_MOTION_S:.0f} s: swing the palms by hand")
     return poses

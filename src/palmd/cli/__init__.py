@@ -78,7 +78,7 @@ def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
 def _with_full_name(words: list[str]) -> list[str]:
     """Replace a short command name, and a former one with a note on standard error.
 
-    Raises CliError for a command that is a study now.
+    Raises CliError for a command that runs in a checkout now.
     """
     for count in range(1, 3):
         name = " ".join(words[:count])

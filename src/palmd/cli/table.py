@@ -87,7 +87,8 @@ COMMANDS = (
     ),
     Command("check", "cli.check", "validate configurations and motion plans"),
     Command("init", "cli.init", "write a configuration from questions about the rig"),
-    Command("doctor", "doctor.command", "find what is missing or misconfigured, and test the arm and the pads"),
+    Command("doctor", "doctor.command", "find what is missing or misconfigured, and test the pads"),
+    Command("doctor arm", "doctor.arm", "test the arm or the servos: state, latency, a small motion"),
     Command("doctor latency", "doctor.latency", "measure how late the loop is on this machine, idle and busy"),
     Command("doctor build", "cli.build", "compile the observers now instead of at the first run"),
     Command("install", "cli.install", "install palmd's systemd services"),
@@ -113,18 +114,24 @@ SHORT = {
 }
 """Short names, which `palmd --help` does not list, and the names that they stand for."""
 
+CONFORMANCE = "python -m tools.conformance"
+"""Command that runs a conformance suite in a checkout."""
+
 STUDIES = "python -m tools.studies"
 """Command that runs a study in a checkout."""
 
+_SUITES = f"palmd doctor arm tests the actuator; the conformance suites run in a checkout: {CONFORMANCE}"
 _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 
 MOVED = {
+    "doctor --arm-conformance": f"{_SUITES} arm PORT",
+    "doctor --actuator-conformance": f"{_SUITES} arm PORT, or servos PORT",
     "bench": f"{_STUDY} NAME",
     "observability": "this study is finished; its results are in docs/theory/paper.md",
     "report paper": f"{_STUDY} paper",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }
-"""Messages for former commands that are studies now; NAME is replaced by the next word."""
+"""Messages for former commands that run in a checkout now; NAME is replaced by the next word."""
 
 
 def subcommands(name: str = "") -> dict[str, Command]:

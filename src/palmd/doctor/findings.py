@@ -83,7 +83,7 @@ def findings(path: Path) -> Iterator[Finding]:
     yield exposure(config)
     for name, pad in ((f"pad {palm}", config.pads.of(palm)) for palm in PALMS):
         yield from ports.pad_findings(name, pad, status, path)
-    yield from ports.arm_findings(config, status, path)
+    yield from ports.arm_findings(config, status)
     if status is not None:
         yield from rig(config)
     yield machine.real_time()

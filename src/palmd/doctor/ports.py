@@ -43,7 +43,7 @@ def pad_findings(name: str, pad: PadConfig, status: dict[str, Any] | None, path:
         yield pad_talks(name, pad, path)
 
 
-def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> Iterator[Finding]:
+def arm_findings(config: Config, status: dict[str, Any] | None) -> Iterator[Finding]:
     """Yield the findings about the arm's port and its controller."""
     port = port_finding("arm", config.arm.port)
     yield port
@@ -58,7 +58,9 @@ def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> I
 
         yield from servos.findings(config.arm)
     else:
-        yield arm_answers(config.arm.port, config.arm.baud, path)
+        from palmd.doctor import arm
+
+        yield arm.answers(config.arm)
 
 
 def _by_daemon(what: str, faults: Sequence[str], well: str) -> Finding:
@@ -167,28 +169,6 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
     if driver.diagnosis is not None:
         return Finding(what, "missing", driver.diagnosis, f"check the pad's section in {path}")
     return Finding(what, "unknown", "no reports, as is normal for an untouched pad", f"palmd doctor --touch {path}")
-
-
-def arm_answers(port: str, baud: int, path: Path) -> Finding:
-    """Check that the controller answers hello and query; nothing moves."""
-    from palmd.devices.armconformance import CHECKS, REPORT, examine
-    from palmd.devices.armconformance_port import ArmLine
-    from palmd.devices.armconformance_talk import Talk
-    from palmd.devices.port import PortUnavailableError
-
-    what = "arm answers"
-    talk = Talk(baud)
-    try:
-        with ArmLine(port, baud) as line:
-            results = [line.play(examine(check, talk)) for check in (CHECKS[0], REPORT)]
-    except PortUnavailableError as error:
-        return Finding(what, "missing", str(error))
-    if talk.home is None:
-        fix = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"
-        return Finding(what, "missing", f"no answer at {baud} baud", fix)
-    if results[1].outcome != "passed":
-        return Finding(what, "missing", results[1].seen)
-    return Finding(what, "ok", f"{results[1].seen}")
 
 
 def device_findings(name: str, pad: PadConfig, path: Path) -> Iterator[Finding]:

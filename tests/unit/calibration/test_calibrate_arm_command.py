@@ -14,6 +14,7 @@ from palmd.calibration import arm as command
 from palmd.calibration.linkage import changed
 from palmd.cli import main
 from palmd.config.any_config import config_hash
+from palmd.devices import armhost
 from palmd.devices.armlink import ArmState, Pose
 from palmd.rig.arm import Linkage
 from palmd.rig.controller import ArmLimits, Controller
@@ -82,7 +83,7 @@ def arm(swing=large_swing, state=ArmState.MANUAL, tool=0.0, deaf=()):
 
 @pytest.fixture(autouse=True)
 def brisk(monkeypatch):
-    monkeypatch.setattr(command, "EVERY_S", 0.003)
+    monkeypatch.setattr(armhost, "QUERY_S", 0.003)
     monkeypatch.setattr(command, "FIRST_MOTION_S", 0.3)
     monkeypatch.setattr(command, "between", lambda *_: float)
 
@@ -164,7 +165,7 @@ def test_too_little_swing_is_refused(configured, capsys, swing, why):
 def test_a_silent_controller_is_reported(configured, capsys, monkeypatch):
     monkeypatch.setattr(command, "FIRST_MOTION_S", 20.0)
     with arm(deaf=range(1000)) as port:
-        assert "does not answer: expected A04, observed nothing" in refused(configured(port), capsys)
+        assert "does not answer; is the controller's program running?" in refused(configured(port), capsys)
 
 
 def test_a_missing_port_and_a_port_held_by_the_daemon_are_reported(configured, capsys, monkeypatch):

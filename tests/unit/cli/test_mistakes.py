@@ -130,8 +130,10 @@ MISTAKES = (
     ("install completion tcsh", 2,
      "palmd install completion: error: argument shell: there is no 'tcsh'; choose from bash, zsh, man"),
     ("init notes.txt", 1, "notes.txt exists: name another file, or give --force", {"notes.txt": "x\n"}),
-    ("doctor --port /dev/nothing --arm-conformance", 3,
-     "arm: no such port /dev/nothing: check the plug and the configured name"),
+    ("doctor arm nowhere.yaml", 1, "nowhere.yaml:1:1: no such file"),
+    ("doctor --arm-conformance --yes", 2,
+     "palmd doctor --arm-conformance: palmd doctor arm tests the actuator; the conformance suites run in a checkout:"
+     " python -m tools.conformance arm PORT"),
 )
 """The command line, its exit status, its message, and the files in the folder."""
 # fmt: on

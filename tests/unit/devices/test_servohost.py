@@ -8,8 +8,8 @@ from servo_bench import HOME, MAKES, BenchTalk, ServoBench
 
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import LOST_S, ArmState
-from palmd.devices.servoconformance import CHECKS, examine
 from palmd.devices.servohost import cycle_period
+from tools.conformance.servo_checks import CHECKS, examine
 
 of_every_make = pytest.mark.parametrize("kind", MAKES)
 PLAY_DEG = {"dynamixel": 0.25, "feetech": 1.0}

@@ -15,16 +15,16 @@ import terminals
 from shut import shut
 
 from palmd.cli import main
+from palmd.config.arms import AdeptConfig
 from palmd.config.pads import VersaPadConfig
 from palmd.console import configured
 from palmd.console.shipped import shipped
 from palmd.daemon import realtime
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
-from palmd.devices.armconformance import CheckResult
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
-from palmd.doctor.arm import as_text
+from palmd.doctor.arm import answers
 from palmd.doctor.findings import bus, daemon, findings, plan
 from palmd.model import compiled
 from palmd.quantities import RIG
@@ -78,11 +78,6 @@ def test_a_bad_configuration_ends_the_list_with_its_place(path, capsys):
     assert f"palmd check {path}" in line
 
 
-def test_options_of_the_arm_test_alone_are_refused(path, capsys):
-    assert main(["doctor", str(path), "--yes"]) == 1
-    assert "--arm-conformance" in capsys.readouterr().err
-
-
 def test_the_exit_status_is_zero_only_if_every_check_passes(monkeypatch, path):
     from palmd.doctor import findings
     from palmd.doctor.finding import Finding
@@ -92,14 +87,6 @@ def test_the_exit_status_is_zero_only_if_every_check_passes(monkeypatch, path):
         monkeypatch.setattr(findings, "findings", lambda _path, made=made: iter(made))
         monkeypatch.setattr(findings, "latency_tree", list)
         assert main(["doctor", str(path)]) == status
-
-
-def test_a_failed_check_reports_what_was_sent_expected_and_received():
-    text = as_text(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
-    assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
-        ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
-    ]  # fmt: skip
-    assert text.startswith(" 7 FAIL")
 
 
 # -- the machine -----------------------------------------------------------------------------------------------
@@ -392,7 +379,7 @@ def test_a_pad_that_sends_is_detected(tmp_path, path, data, verdict, says):
 def test_a_silent_arm_is_reported(tmp_path, path):
     with terminal(tmp_path / "arm"):
         t = time.monotonic()
-        finding = ports.arm_answers(str(tmp_path / "arm"), 38400, path)
+        finding = answers(AdeptConfig(port=str(tmp_path / "arm")))
         assert time.monotonic() - t < 10.0
     assert finding.verdict == "missing"
     assert "tools/adept/README.md" in finding.fix

@@ -10,7 +10,6 @@ import pytest
 from farend import BAUD, HOME, LIMITS, FarEnd
 from vplus import Module, VPlusError
 
-from palmd.devices.armconformance import MAX_EXCURSION_M
 from palmd.devices.armlink import (
     CONTROLLER_NEWLINE,
     HOST_NEWLINE,
@@ -29,6 +28,7 @@ from palmd.devices.armlink import (
     wrap_mdeg,
 )
 from palmd.rig.controller import CYCLE_S, Controller
+from tools.conformance.arm_checks import MAX_EXCURSION_M
 
 SOURCE = Path(__file__).parents[3] / "tools" / "adept" / "palmd.v2"
 TEXT = SOURCE.read_text(encoding="ascii")

@@ -1,8 +1,8 @@
 """Conformance checks of controllers at the other end of the arm link. Pure: no port, no clock.
 
 A check is a script: a generator that yields what to write and how long to listen, receives the answers, and returns
-what it observed or raises `DeviationError`. `palmd doctor --arm-conformance` runs the scripts on a real port; tests
-run them against the emulated controller and the V+ program's text, in virtual time.
+what it observed or raises `DeviationError`. `python -m tools.conformance arm PORT` runs the scripts on a real port;
+tests run them against the emulated controller and the V+ program's text, in virtual time.
 
 A controller that fulfils the contract moves less than `MAX_EXCURSION_M` from its position. One that does not may
 execute a set-point that it should refuse: it moves by at most one cycle at its maximum speed, since each such set-point
@@ -18,18 +18,6 @@ from functools import partial
 from typing import Literal
 
 from palmd.devices.actuator import ArmState, Pose
-from palmd.devices.armconformance_talk import (
-    ANSWER_S,
-    DeviationError,
-    NotExaminedError,
-    Script,
-    Talk,
-    as_text,
-    expect_ack,
-    expect_refusal,
-    only_reply,
-    parse_line,
-)
 from palmd.devices.armlink import (
     HOST_NEWLINE,
     MAX_LINE_BYTES,
@@ -46,6 +34,18 @@ from palmd.devices.armlink import (
     Stop,
     encode_command,
     frame,
+)
+from tools.conformance.arm_talk import (
+    ANSWER_S,
+    DeviationError,
+    NotExaminedError,
+    Script,
+    Talk,
+    as_text,
+    expect_ack,
+    expect_refusal,
+    only_reply,
+    parse_line,
 )
 
 MAX_EXCURSION_M = 2e-3

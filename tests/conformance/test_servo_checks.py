@@ -4,7 +4,7 @@ import pytest
 from servo_bench import BenchTalk, ServoBench
 
 from palmd.devices import dynamixel as dxl
-from palmd.devices.servoconformance import examine
+from tools.conformance.servo_checks import examine
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Self, TypeVar
 
-from palmd.devices.armconformance_talk import Script, Talk, TalkAnswer, TalkRequest
 from palmd.devices.armlink import Line, LineReader, Stop, encode_command
 from palmd.devices.port import Port, PortUnavailableError, PortWaiter
+from tools.conformance.arm_talk import Script, Talk, TalkAnswer, TalkRequest
 
 _T = TypeVar("_T")
 

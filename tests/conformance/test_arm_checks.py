@@ -6,11 +6,11 @@ import pytest
 from farend import BAUD, HOME, LIMITS, FarEnd
 
 from palmd.devices import armlink
-from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, examine
-from palmd.devices.armconformance_talk import Talk
 from palmd.devices.armlink import Ack, ArmState, HelloReply, LineReader, Refusal, SetPoint, Start, Stop, encode_reply
 from palmd.rig import controller
 from palmd.rig.controller import ArmLimits, Controller
+from tools.conformance.arm_checks import CHECKS, MAX_EXCURSION_M, examine
+from tools.conformance.arm_talk import Talk
 
 
 def outcomes(make=Controller):
