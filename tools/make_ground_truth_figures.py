@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from palmd.events import PalmSample
-from palmd.observer.reconstruct import Reconstruction, reconstruct
-from palmd.outlinefile import Outline
-from palmd.record.resultfile import Result
-from palmd.record.track import read_track
-from palmd.report import ground_truth_figure
-from palmd.report.camera_frame import motion_of
-from palmd.report.ground_truth import compare
+from palmd.observer.palm_path import smoothed_path
+from palmd.observer.reconstruct import reconstruct
+from palmd.polygon import degrees
+from palmd.report import compare_figure
+from palmd.report.alignment import compare
+from palmd.report.tracks import OutlineShape, PoseTrack, com_of, planar_fields, read_pose_track
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools.studies`
@@ -28,14 +28,6 @@ from tools.studies.simulated import simulated
 FIGURES = ROOT / "docs/figures"
 
 
-def as_result(answer: Reconstruction) -> Result:
-    if answer.h is None or answer.h_sd is None or answer.touched is None:
-        raise SystemExit(f"no outline: {answer.reason}")
-    return Result(
-        answer.t, answer.psi, answer.radii, answer.theta, answer.h, answer.h_sd, answer.touched
-    )  # fmt: skip
-
-
 def camera(path: Path) -> None:
     log, truth = simulated("rig", 3, 10.0)
     table = filmed(truth, log.rig.palm1_length, Camera(), np.random.default_rng(0))
@@ -43,13 +35,16 @@ def camera(path: Path) -> None:
     with TemporaryDirectory() as folder:
         file = Path(folder) / "track.csv"
         file.write_text(as_csv(table, seen))
-        track = read_track(file)
-    result = as_result(reconstruct(log.events, log.rig))
+        track = read_pose_track(file)
+    answer = reconstruct(log.events, log.rig)
+    if answer.h is None or answer.touched is None:
+        raise SystemExit(f"no outline: {answer.reason}")
     palms = [event for event in log.events if isinstance(event, PalmSample)]
-    nan = float("nan")
-    outline = Outline("true", np.array(truth["h_m"]), np.zeros(360), truth["rho_m"], nan, nan, nan)
-    found = compare(result, motion_of(result, log.rig, palms), track, outline)
-    ground_truth_figure.save(result, found, outline, path)
+    com = com_of(smoothed_path(palms, log.rig.palm_angle_noise).at(answer.t)[:, :2], answer.radii, log.rig)
+    body = OutlineShape(answer.theta, answer.h, answer.touched.astype(float))
+    result = PoseTrack("reconstruction", **planar_fields(answer.t, com[:, 0], com[:, 1], answer.psi, body=body))
+    true = replace(track, body=OutlineShape(degrees(), np.array(truth["h_m"]), np.ones(360)))
+    compare_figure.save([(compare(true, result), result.body, true.body)], path)
 
 
 def pruning(path: Path) -> None:

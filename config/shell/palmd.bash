@@ -185,7 +185,6 @@ _shtab_palmd_ctl_pos_0_choices=(status arm start hold stop reset plan jog note n
 _shtab_palmd_record_pos_0_choices=(capture bundle)
 _shtab_palmd_runs_pos_0_choices=(compare recover)
 _shtab_palmd_replay___frames_choices=(3 2)
-_shtab_palmd_report_pos_0_choices=(camera)
 _shtab_palmd_export___as_choices=(log csv mcap-json rrd lerobot svg dxf points)
 _shtab_palmd_calibrate_pad___pad_choices=(1 2)
 _shtab_palmd_calibrate_gravity___roller_choices=(ball cylinder)

@@ -85,10 +85,11 @@ def _with_full_name(words: list[str]) -> list[str]:
         if name in MOVED:
             study = " ".join(words[count : count + 1]) or "NAME"
             raise CliError(USAGE, f"palmd {name}: {MOVED[name].replace('NAME', study)}")
-    if words and words[0] in RENAMED:
-        print(f"palmd {words[0]} is now: palmd {RENAMED[words[0]]}", file=sys.stderr)
-    full = (RENAMED | SHORT).get(words[0], words[0]) if words else ""
-    return [*full.split(), *words[1:]]
+        if name in RENAMED:
+            print(f"palmd {name} is now: palmd {RENAMED[name]}", file=sys.stderr)
+        if name in RENAMED or name in SHORT:
+            return [*(RENAMED | SHORT)[name].split(), *words[count:]]
+    return words
 
 
 def _take_any_terminal() -> None:

@@ -43,7 +43,6 @@ COMMANDS = (
     Command("replay", "cli.replay", "publish a recorded run again, or check that the observer repeats its estimates"),
     Command("why", "cli.why", "explain why a recorded run held or stopped"),
     Command("report", "cli.report", "make a page or PDF of a recorded run"),
-    Command("report camera", "cli.camera", "compare a reconstruction with a camera's track, clock and frame by fit"),
     Command("export", "cli.export", "convert a recorded run to an event log, CSV, MCAP with JSON, or rerun's format"),
     Command("estimate", "cli.estimate", "run the daemon's observer over an event log or a recorded run"),
     Command("reconstruct", "cli.reconstruct", "estimate outline and motion from a whole event log or recorded run"),
@@ -103,6 +102,7 @@ RENAMED = {
     "latency": "doctor latency",
     "build": "doctor build",
     "completion": "install completion",
+    "report camera": "runs compare",
 }
 """Command names before 1.0, which work until 2.0 with a note, and their new names."""
 

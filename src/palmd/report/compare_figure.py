@@ -30,11 +30,13 @@ def save(found: Sequence[tuple[TrajectoryComparison, OutlineShape | None, Outlin
             if body is None or true is None:
                 continue
             rotated = boundary(support_at(body.h, np.mod(degrees() - each.outline_rotation, 2 * np.pi) - body.theta[0]))
-            axes["outline"].plot(*rotated.T * 1e3, color=colour)
+            touched = np.interp(degrees() - each.outline_rotation, body.theta, body.touched, period=2 * np.pi) > 0.5
+            axes["outline"].plot(*rotated.T * 1e3, color=colour, linewidth=0.6)
+            axes["outline"].plot(*np.where(touched[:, None], rotated, np.nan).T * 1e3, color=colour, linewidth=2.0)
             if i == 0:
                 axes["outline"].plot(*boundary(true.h).T * 1e3, "--", color=BLACK, label="reference")
         axes["position"].set(ylabel="position error (mm)", title="(a) position")
         axes["rotation"].set(ylabel="rotation error (°)", xlabel="time (s)", title="(b) orientation")
-        axes["outline"].set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", title="(c) outline, best rotation")
+        axes["outline"].set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", title="(c) outline (bold: touched)")
         figure.legend(loc="outside lower center", ncols=3)
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)

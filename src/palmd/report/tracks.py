@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,14 +13,17 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palmd.events import FloatArray
+from palmd.events import FloatArray, PalmSample
+from palmd.observer.palm_path import smoothed_path
 from palmd.record import is_recording
 from palmd.record.resultfile import ResultError, read_result
 from palmd.record.run import AnyRun, RunError, read_any_run
-from palmd.record.track import TrackError, read_track
+from palmd.system.description import RigDescription
 
 MIN_ROWS = 30
 MAX_BYTES = 200_000_000
+CAMERA_COLUMNS = ("t_s", "object_x_mm", "object_y_mm", "object_angle_deg")
+EXTENT_MM = (0.2, 1000.0)  # plausible range of a mark's motion; others hint at a wrong unit
 _TUM_COLUMNS = 8
 
 
@@ -52,8 +57,11 @@ class PoseTrack:
     truth: PoseTrack | None = None
 
 
-def read_pose_track(path: Path) -> PoseTrack:
-    """Read the trajectory in a file of any format of `palmd compare`; raises TrackFileError. Not for the loop."""
+def read_pose_track(path: Path, palms: tuple[RigDescription, Sequence[PalmSample]] | None = None) -> PoseTrack:
+    """Read the trajectory in a file of any format of `palmd runs compare`; raises TrackFileError. Not for the loop.
+
+    palms: rig and palm angles of a planar result's run, which determine its positions.
+    """
     try:
         if not path.exists():
             raise TrackFileError(f"{path}: no such file; `palmd runs FOLDER` lists the recordings in a folder")
@@ -62,9 +70,9 @@ def read_pose_track(path: Path) -> PoseTrack:
         if path.stat().st_size > MAX_BYTES and path.suffix != ".mcap":
             raise TrackFileError(f"{path}: longer than {MAX_BYTES // 1_000_000} MB")
         if path.suffix == ".csv":
-            return _from_track(path)
+            return _from_csv(path)
         if path.suffix == ".json":
-            return _from_result(path)
+            return _from_result(path, palms)
         if path.suffix in (".tum", ".txt"):
             return _from_tum(path)
         if is_recording(path):
@@ -73,7 +81,7 @@ def read_pose_track(path: Path) -> PoseTrack:
         raise TrackFileError(f"{path}: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise TrackFileError(f"{path}: not text (UTF-8)") from None
-    except (RunError, ResultError, TrackError) as error:
+    except (RunError, ResultError) as error:
         raise TrackFileError(str(error)) from None
     raise TrackFileError(f"{path}: is not a recording; tracks have the suffix .csv or .tum, results .json")
 
@@ -89,12 +97,51 @@ def planar_fields(t: FloatArray, x: FloatArray, y: FloatArray, angle: FloatArray
     }
 
 
-def _from_track(path: Path) -> PoseTrack:
-    track = read_track(path)
-    seen = np.isfinite(track.angle)
-    return PoseTrack(
-        path.name, **planar_fields(track.t[seen], track.mark[seen, 0], track.mark[seen, 1], track.angle[seen])
-    )
+def _from_csv(path: Path) -> PoseTrack:
+    """Read a camera's track: columns `CAMERA_COLUMNS` in any order, others are ignored.
+
+    The mark on the object and the object's arrow in the camera's frame; rows with empty cells or NaN show nothing.
+    """
+    rows: list[list[float]] = []
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        reader = csv.reader(stream)
+        try:
+            names = [cell.strip() for cell in next(reader, [])]
+            for name in CAMERA_COLUMNS:
+                if names.count(name) != 1:
+                    fault = "twice" if name in names else "missing"
+                    raise TrackFileError(
+                        f"{path}:1: the column {name} is {fault}; required columns: {','.join(CAMERA_COLUMNS)}"
+                    )
+            columns = [names.index(name) for name in CAMERA_COLUMNS]
+            for cells in filter(any, reader):
+                where = f"{path}:{reader.line_num}"
+                if len(cells) != len(names):
+                    raise TrackFileError(f"{where}: {len(cells)} cells under {len(names)} columns")
+                try:
+                    row = [float(cells[i].strip() or "nan") for i in columns]
+                except ValueError as error:
+                    raise TrackFileError(f"{where}: {error}") from None
+                _check_time(where, rows, row)
+                rows.append(row)
+        except csv.Error as error:
+            raise TrackFileError(f"{path}:{max(reader.line_num, 1)}: {error}") from None
+    table = np.array(rows).reshape(len(rows), len(CAMERA_COLUMNS))
+    t, x, y, angle = table[np.isfinite(table).all(axis=1)].T
+    if len(t) < MIN_ROWS:
+        raise TrackFileError(f"{path}: {len(t)} rows show the object; {MIN_ROWS} are needed")
+    extent = float(max(np.ptp(x), np.ptp(y)))
+    if not EXTENT_MM[0] <= extent <= EXTENT_MM[1]:
+        unit = "metres" if extent < EXTENT_MM[0] else "µm"
+        raise TrackFileError(f"{path}: the object moves by {extent:.3g} mm: are object_x_mm and object_y_mm in {unit}?")
+    return PoseTrack(path.name, **planar_fields(t, x * 1e-3, y * 1e-3, np.radians(angle)))
+
+
+def _check_time(where: str, rows: Sequence[Sequence[float]], row: Sequence[float]) -> None:
+    """Raise TrackFileError unless the row's time is a number after that of the last of `rows`."""
+    before = rows[-1][0] if rows else -math.inf
+    if not before < row[0] < math.inf:
+        raise TrackFileError(f"{where}: time is {row[0]:g} after {before:g}: it must increase")
 
 
 def _from_tum(path: Path) -> PoseTrack:
@@ -112,8 +159,7 @@ def _from_tum(path: Path) -> PoseTrack:
             raise TrackFileError(f"{path}:{number}: a column is not a number") from None
         if not all(map(math.isfinite, row)) or not any(row[4:]):
             raise TrackFileError(f"{path}:{number}: a column is not finite, or the quaternion is zero")
-        if rows and row[0] <= rows[-1][0]:
-            raise TrackFileError(f"{path}:{number}: time is {row[0]:g} after {rows[-1][0]:g}: it must increase")
+        _check_time(f"{path}:{number}", rows, row)
         rows.append(row)
     if len(rows) < MIN_ROWS:
         raise TrackFileError(f"{path}: {len(rows)} poses; {MIN_ROWS} are needed")
@@ -121,8 +167,8 @@ def _from_tum(path: Path) -> PoseTrack:
     return PoseTrack(path.name, table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:]))
 
 
-def _from_result(path: Path) -> PoseTrack:
-    """Read a result of `palmd reconstruct`; planar ones have no position, which would need the palms' angles."""
+def _from_result(path: Path, palms: tuple[RigDescription, Sequence[PalmSample]] | None) -> PoseTrack:
+    """Read a result of `palmd reconstruct`; planar ones have a position only with the palms' angles."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
@@ -135,9 +181,25 @@ def _from_result(path: Path) -> PoseTrack:
         except (KeyError, TypeError, ValueError) as error:
             raise TrackFileError(f"{path}: its trajectory cannot be read: {error}") from None
     result = read_result(path)
-    unknown = np.full(len(result.t), math.nan)
+    com = np.full((len(result.t), 2), math.nan)
+    if palms is not None:
+        rig, samples = palms
+        com = com_of(smoothed_path(list(samples), rig.palm_angle_noise).at(result.t)[:, :2], result.radii, rig)
     body = OutlineShape(result.theta, result.h, result.touched.astype(np.float64))
-    return PoseTrack(path.name, **planar_fields(result.t, unknown, unknown, result.psi, body=body))
+    return PoseTrack(path.name, **planar_fields(result.t, com[:, 0], com[:, 1], result.psi, body=body))
+
+
+def com_of(angles: FloatArray, radii: FloatArray, rig: RigDescription) -> FloatArray:
+    """The centre of mass in the world (n, 2), m: n1·c′ = r1, n2·c′ = r2 about the hinge O = B − L1 t1(φ1) of an arc.
+
+    angles (n, 2): φ1, φ2 (rad); radii (2, n): r1, r2. Since n1·t2 = −sin φ2 and n2·t1 = sin φ2,
+    c′ = (r2 t1 − r1 t2) / sin φ2.
+    """
+    directions = angles.cumsum(axis=1)
+    along = np.stack([np.cos(directions), np.sin(directions)], axis=-1)  # t1 and −t2
+    from_hinge = (radii[1, :, None] * along[:, 0] + radii[0, :, None] * along[:, 1]) / np.sin(angles[:, 1])[:, None]
+    base, length = rig.arc
+    return np.asarray(np.array(base) - length * along[:, 0] + from_hinge)
 
 
 # -------------------------------------------------------------------------------------------------------- recordings

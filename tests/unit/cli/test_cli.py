@@ -79,7 +79,7 @@ def test_every_command_has_its_module_and_help(command, capsys):
 
 @pytest.mark.parametrize("old", RENAMED)
 def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
-    assert usage(old, "--help") == 0
+    assert usage(*old.split(), "--help") == 0
     shown = capsys.readouterr()
     assert shown.out.startswith(f"usage: palmd {RENAMED[old]} ")
     assert shown.err == f"palmd {old} is now: palmd {RENAMED[old]}\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import filmed_run
@@ -37,6 +38,71 @@ def test_a_result_is_compared_with_tracks_in_two_formats(folder, tmp_path, capsy
         assert row["position_rms_m"] is None  # a result has no position
     assert "track.tum" in capsys.readouterr().out
     assert figure.read_text().startswith("<?xml")
+
+
+def test_a_result_is_compared_with_a_track_by_position_and_outline_too(folder, tmp_path, capsys) -> None:
+    result, track, log, truth = (str(folder / name) for name in ("result.json", "track.csv", "run.jsonl", "truth.json"))
+    output, figure = tmp_path / "errors.json", tmp_path / "errors.svg"
+    arguments = [result, track, "--log", log, "--outline", truth, "-o", str(output), "--figure", str(figure)]
+    assert main(["runs", "compare", *arguments]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[-1].startswith("result.json in track.csv: clock +37.2")
+    (row,) = json.loads(output.read_text())
+    assert (row["file"], row["reference"]) == ("result.json", "track.csv")
+    assert abs(row["clock_offset_s"] + CAMERA.offset_s) < 5e-3
+    assert row["clock_offset_sd_s"] < 2e-3
+    assert row["clock_drift"] is None
+    assert row["frame_rad"][2] == pytest.approx(CAMERA.angle_rad, abs=4.0 * row["frame_sd_rad"][2])
+    assert row["frame_sd_rad"][2] < 0.02
+    assert row["point_m"][:2] == pytest.approx(CAMERA.mark_m, abs=5e-4)
+    assert row["point_sd_m"][2] is None
+    assert row["rotation_rms_rad"] == pytest.approx(CAMERA.angle_sd_rad, rel=0.3)
+    assert row["position_rms_m"] == pytest.approx(CAMERA.place_sd_m * math.sqrt(2), rel=0.3)
+    assert row["outline_rms_m"] < 1e-4
+    first = figure.read_bytes()
+    assert len(first) < 400_000
+    assert main(["report", "camera", *arguments]) == 0
+    assert figure.read_bytes() == first
+    assert "palmd report camera is now: palmd runs compare" in capsys.readouterr().err
+
+
+def test_bad_input_is_a_one_line_error_and_no_file_is_lost(folder, tmp_path, capsys) -> None:
+    result, track, log = (str(folder / name) for name in ("result.json", "track.csv", "run.jsonl"))
+    reconstruction = json.loads((folder / "result.json").read_text())
+    made = {
+        "none.json": json.dumps(reconstruction | {"trajectory": None, "reason": "too little", "converged": False}),
+        "list.json": "[]",
+        "ragged.json": json.dumps(reconstruction | {"h_m": reconstruction["h_m"][:-1]}),
+        "null.json": json.dumps(reconstruction | {"h_m": [None, *reconstruction["h_m"][1:]]}),
+        "still.jsonl": "\n".join(
+            line for line in (folder / "run.jsonl").read_text().splitlines() if "phi1" not in line
+        ),
+        "short.csv": "\n".join((folder / "track.csv").read_text().splitlines()[:20]),
+    }
+    for name, text in made.items():
+        (tmp_path / name).write_text(text)
+    out = tmp_path / "out.json"
+    bad = {name: str(tmp_path / name) for name in made}
+    before = (folder / "result.json").read_bytes()
+    for arguments, what in (
+        ([str(tmp_path / "no.json"), track], "no such file"),
+        ([bad["none.json"], track], "has no trajectory: too little"),
+        ([bad["list.json"], track], "is not a result of palmd reconstruct"),
+        ([bad["ragged.json"], track], "lists of equal length"),
+        ([bad["null.json"], track], "h_m[0] is null, not a number"),
+        ([result, bad["short.csv"]], "short.csv: 19 rows show the object"),
+        ([result, track, "--log", bad["still.jsonl"]], "has no palm angles"),
+        ([result, track, "--outline", log], "a .json or a .csv file"),
+        ([result, track, "--figure", str(tmp_path / "no" / "a.svg")], "cannot be written"),
+        ([result, track, "-o", result], "result.json: is an input"),
+        ([result, track, "--figure", str(tmp_path / "a.txt")], "use the suffix .svg"),
+    ):
+        assert main(["runs", "compare", *(["-o", str(out)] if "-o" not in arguments else []), *arguments]) == 1, what
+        captured = capsys.readouterr()
+        assert what in captured.err
+        assert captured.err.count("\n") == 1
+    assert not out.exists()
+    assert (folder / "result.json").read_bytes() == before
 
 
 def test_two_tracks_are_also_compared_by_position(folder, capsys) -> None:
