@@ -12,15 +12,16 @@ Relation = Literal["independent", "in_phase", "antiphase", "unknown", "none"]
 VibrationLaw = Literal["sign_pairs", "averaged"]
 """`sign_pairs`: contact equations averaged over slip signs; `averaged`: only friction averaged (old logs)."""
 
-SPEED_M_S, LN_SPEED_SD = 0.014, 0.35
-"""Default speed V of a shaker, and standard deviation of its logarithm."""
+SPEED_M_S, LN_SPEED_SD = 0.0115, 0.45
+"""Default speed V of a shaker, and standard deviation of its logarithm (assumption: 5 to 25 mm/s)."""
 AVERAGED_SPEED_M_S = 0.012 / (math.pi / 2)
 SHAKER_SD, LEAST_LN_SD = 0.10, 1e-3
 """Standard deviation of ln V if the speed is given without one, and its smallest value."""
-FREQUENCY_HZ = 240.0
-"""Default frequency of a shaker, in the middle of the 200 to 280 Hz of small shakers."""
-UNKNOWN_PERIOD_SD = 0.5
-"""Relative standard deviation of the period of a shaker of unknown frequency (assumption: 160 to 480 Hz)."""
+FREQUENCY_HZ = 300.0
+"""Default frequency of a shaker; small ones have 200 to 280 Hz, and the effect of the ripple ends at high ones."""
+UNKNOWN_PERIOD_SD = 0.7
+"""Relative standard deviation of the period of a shaker of unknown frequency (assumption: from 160 Hz
+to so fast that there is no ripple)."""
 RIPPLE_SD = 0.25
 """Relative standard deviation of the ripple's effect on the motion if the frequency is known exactly (study of resolved
 vibrations, 2026-11-29: the law leaves 14 to 58 % of the effect)."""
