@@ -94,6 +94,11 @@ STICKS = Reason(
     "sticks: the palms do not vibrate, and no sequence of sticking and slipping explains the readings; vibrate the"
     " palms, or turn them slowly and by more",
 )
+STICKS_THOUGH_VIBRATED = Reason(
+    Code.STICKS,
+    "the object sticks and slips as on palms that do not vibrate: switch the shakers on, or describe the rig by"
+    " vibration: {relation: none}",
+)
 NO_ANSWER = Reason(
     Code.UNEXPLAINED,
     "no motion of an object was found that explains the readings; check sign, zero and order of the pads and the rig's"
@@ -169,14 +174,23 @@ def _of_segments(
         if main is not None and until_swap is not None and main.segment is until_swap.segment:
             segments = swapped
     if main is None:
-        at_rest = nothing_moves(Search(segments[0], rig).record)
-        return _rejected(NOTHING_MOVES if at_rest else _if_concave(NO_ANSWER, rig), started)
+        return _without_smooth_answer(search, seed, started)
     main = _checked_without_start(main, seed)
     if main.reason:
         return _result(main, (), rig, started)
     others = elsewhere[1:] if elsewhere else _parts_of(segments[1:MOST_PARTS], rig, seed, say)
     main, joined = _longest_together([main, *others])
     return _result(main, joined, rig, started)
+
+
+def _without_smooth_answer(search: Search, seed: int, started: float) -> Reconstruction:
+    """The rejection where no motion was found; with a stick-slip one on palms that are described as vibrating."""
+    if nothing_moves(search.record):
+        return _rejected(NOTHING_MOVES, started)
+    stick_slip = dry_reconstruction(search, seed, started) if search.rig.vibration.vibrates else None
+    if stick_slip is not None:
+        return replace(stick_slip, converged=False, reason=STICKS_THOUGH_VIBRATED)
+    return _rejected(_if_concave(NO_ANSWER, search.rig), started)
 
 
 def _parts_of(
@@ -256,12 +270,10 @@ class _NonSmooth:
 
     @cached_property
     def result(self) -> Reconstruction | None:
-        """A stick-slip result, else one with flat sides; None if neither, on curved palms, or if disabled."""
-        search, seed, started = self._search, self._seed, self._started
-        if search.rig.curved or not self._enabled:
+        """A result with flat sides; None if there is none, on curved palms, or if disabled."""
+        if self._search.rig.curved or not self._enabled:
             return None
-        result = dry_reconstruction(search, seed, started)
-        return result or sharp_reconstruction(search, seed, started, self._say, self._others)
+        return sharp_reconstruction(self._search, self._seed, self._started, self._say, self._others)
 
     @property
     def enough(self) -> bool:
