@@ -74,8 +74,9 @@ class IncrementalSmoother:
 
     @property
     def elapsed_s(self) -> float:
-        """Time (s) from the start of the present object to the latest event; 0 while there is none."""
-        return max(self._events[-1].t_sample - self._session.start_time, 0.0) if self._events else 0.0
+        """Duration (s) of the readings of an object that is followed; 0 while an object is searched for."""
+        followed = self._fixed_lag is not None and self._events
+        return max(self._events[-1].t_sample - self._session.start_time, 0.0) if followed else 0.0
 
     def add(self, session: Session, events: Sequence[Event]) -> None:
         """Take the latest events, and the session of the object that is on the palms now."""

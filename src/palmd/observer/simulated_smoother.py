@@ -25,8 +25,8 @@ class Simulated:
         """Add the tick's events, and start a run when it is due."""
         self._smoother.add(session, events)
         if t >= self._next and self._ready is None:
-            self._next = t + period(t - session.start_time)
             self._ready = (t + self._latency, self._smoother.result())
+            self._next = t + period(self._smoother.elapsed_s)
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
         """The answer of the run started at least `latency_s` ago."""

@@ -78,5 +78,5 @@ class SimulatedSmoothingOfOne(Generic[Answer]):
 
 
 def period(elapsed_s: float) -> float:
-    """Time (s) between two answers of the smoother, `elapsed_s` after the object was put down."""
+    """Time (s) between two answers of the smoother, which has followed an object for `elapsed_s`, or searches (0)."""
     return min(max(elapsed_s / 8.0, 0.25), 2.0)

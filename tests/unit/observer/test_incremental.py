@@ -25,7 +25,7 @@ from palmd.observer.record import Record
 from palmd.observer.reidentification import reidentified
 from palmd.observer.search import Minima, Search
 from palmd.observer.smoother import Budget
-from palmd.observer.smoothing import Session
+from palmd.observer.smoothing import Session, period
 from palmd.rig.imperfections import drawn_error
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED
@@ -118,6 +118,15 @@ def test_the_number_of_retained_events_is_bounded(rested: Rested) -> None:
     kept = rested[0].kept
     assert kept[36.0] < 1.2 * kept[16.0]
     assert kept[16.0] < 6 * 300
+
+
+def test_an_object_that_is_searched_for_is_searched_for_without_pause(rested: Rested) -> None:
+    """The interval between answers grows with the known object's readings, not with a search in vain."""
+    searching, followed = IncrementalSmoother(rested[0].run.rig), rested[0].smoother
+    resting = [replace(e, s=0.03) if isinstance(e, PadSample) else e for e in rested[0].run.events]
+    searching.add(Session(1, 0.0), [event for event in resting if event.t_sample < 12.0])
+    assert searching.answer() is None
+    assert period(searching.elapsed_s) == period(0.0) < period(followed.elapsed_s)
 
 
 def test_readings_beyond_the_friction_law_are_fitted_with_its_discrepancy(monkeypatch) -> None:
