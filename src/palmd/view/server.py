@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 FRAME_S = 1 / 12
-"""Period of batches (s), one picture each (study 2026-12-01: the browser takes 15.0 % of a core, with 1/15 16.3 to 17.5 %)."""
+"""Period of batches (s), one picture each (study 2026-12-01: the browser takes 15.0 % of a core, with 1/15 17 %)."""
 
 HEARTBEAT_FRAMES = int(0.5 / FRAME_S)
 """A batch is sent at least this often, even without messages (convention: twice a second)."""
