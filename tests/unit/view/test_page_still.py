@@ -25,6 +25,7 @@ IN_VIEW = """
     const seen = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
     return seen?.closest(arguments[0]) && left >= 0 && right <= innerWidth && top >= 0 && bottom <= innerHeight;
 """
+COLOURS_SETTLED = "return !document.getAnimations().some((each) => each instanceof CSSTransition)"
 CLOCK_STOPPED = """
     if (!document.getElementById("stale").hidden) return false;
     const now = performance.now();
@@ -550,6 +551,7 @@ def test_axe_finds_no_accessibility_problem(still, bus):
     for size, scheme in itertools.product((LAPTOP, PHONE), ("dark", "light")):
         still.resize(*size)
         still.scheme(scheme)
+        still.until(lambda: still.script(COLOURS_SETTLED), "colours that no transition changes any more")
         found[size, scheme] = still.axe(AXE.read_text())
     assert {what: problems for what, problems in found.items() if problems} == {}
 
