@@ -23,7 +23,6 @@ KINDS: dict[str, PadConfig] = {
     "st0001": TaxelsConfig(protocol="st0001", rows=15, pitch_mm=4.0, **ARRAY),
     "text": TaxelsConfig(protocol="text", rows=20, pitch_mm=3.0, baud=1_000_000, **ARRAY),
 }
-SERIAL = tuple(name for name in KINDS if name != "evdev")
 
 
 class PadBench:
