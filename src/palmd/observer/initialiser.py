@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model.smoothing import RIG, R
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Solution
@@ -45,6 +46,7 @@ ALONE_S = 12.0  # s of readings; a single hypothesis that predicted their end ne
 CHALLENGE = 2.0  # growth factor of the record from one blind search to the next, until one repeats the confirmation
 REACH_S = 2.0  # s of new readings in one step (choice: twice the fixed-lag smoother's: all readings are refitted)
 STEADY_S = 3.0  # s of readings since the machine was last starved, after which earlier ones may be dropped
+RIVALS = 4  # filters from which a rival is searched
 LONGEST_S, KEPT_S = 30.0, 15.0  # s of readings without any result, and how many of them are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
 """After `IN_VAIN` searches in a row that explain nothing, the latest `RENEWED_S` of readings are kept: longer records
@@ -75,7 +77,7 @@ class Initialiser:
         self._rig = rig
         self._seed = seed
         self._start: float | None = None
-        self._guesses: tuple[Guess, ...] = ()
+        self._known: Minima | None = None  # hypotheses that were kept after the last step
         self._belief = RigBelief.of(rig)
         self._challenge_s = 0.0
         self._exact = declared_exact(rig)
@@ -87,6 +89,7 @@ class Initialiser:
         self.hypothesis: Solution | None = None  # the last that explained its readings, with or without rivals
         self.extension_failed = False  # the hypothesis could not be extended to the last readings
         self.unexplained = False  # the last readings, by any smooth outline
+        self.surprised = False  # the last readings are explained worse than those before
         self.needs_from = -float("inf")  # time (s) before which readings are not needed any more
 
     def search(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Solution | None:
@@ -110,9 +113,9 @@ class Initialiser:
 
     def _known_until(self, segment: DataSegment) -> float | None:
         """End of the readings of `segment` that the hypotheses explain (s); None without a hypothesis."""
-        if not self._guesses or segment.start != self._start:
+        if self._known is None or segment.start != self._start:
             return None
-        return segment.start + (len(self._guesses[0].x) - 1) * SPACING_S
+        return segment.start + (len(self._known.record.t) - 1) * SPACING_S
 
     def _step(self, segment: DataSegment, hint: FloatArray | None, now: float, budget: Budget) -> Solution | None:
         """`search` in one step to the end of `segment`; `now`: time of the last of all readings (s)."""
@@ -127,11 +130,15 @@ class Initialiser:
             return None
         finding: Minima | None = None
         known = self._known_until(segment)
-        if known is not None:
-            finding = self._resumed(search, budget)
+        self.surprised = False
+        if known is not None and self._known is not None:
+            finding = self._resumed(search, self._known, budget)
             self.extension_failed = self._allows_trial and (finding is None or not search.covers(finding))
             if self.extension_failed:
                 return None
+            self.surprised = finding is None or finding.surprises(self._known)
+            if self.surprised:
+                finding = self._with_rival(search, finding, self._known)
             if finding is None and self.confirmed and now - known < LOST_S:
                 return None  # one step that is hard to fit does not reject a confirmed hypothesis
         else:
@@ -144,9 +151,8 @@ class Initialiser:
         if finding is not None and not finding.fits[0].settled:
             finding = search.with_friction_discrepancy(finding)
         solution = None if finding is None else self._with_revised_rig(Solution(search, finding))
-        before, self._start, self._guesses = self._guesses, segment.start, ()
-        if solution is not None:
-            self._guesses = tuple(fit.guess for fit in solution.finding.fits)
+        before, self._start = self._known, segment.start
+        self._known = None if solution is None else solution.finding
         doubts = UNFOUND if solution is None else rejection_reason(solution.finding.fits[0], solution.finding)
         self.unexplained = solution is None or is_implausible(solution.finding.fits[0], solution.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
@@ -156,7 +162,7 @@ class Initialiser:
             self.extension_failed = True
             return None
         if self._doubtful and budget.left <= 0.0 and known is not None and now - known < LOST_S:
-            self._guesses, self.unexplained = self._guesses or before, False
+            self._known, self.unexplained = self._known or before, False
             return None  # the budget was spent: neither accepted nor rejected
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
@@ -172,16 +178,33 @@ class Initialiser:
             self._confirmations += len(solution.finding.fits) == 1  # the only hypothesis, and it predicted the readings
         return solution
 
-    def _resumed(self, search: Search, budget: Budget) -> Minima | None:
+    def _resumed(self, search: Search, known: Minima, budget: Budget) -> Minima | None:
         """Extend the hypotheses to the last readings, with half the budget at most if a trial may come next."""
+        guesses = [fit.guess for fit in known.fits]
         if not self._allows_trial:
-            return search.deepened(search.resumed(self._guesses))
+            return search.deepened(search.resumed(guesses))
         half = Budget(min(budget.left, LIVE_BUDGET / 2))
         budget.left -= half.left
         search_half = search.with_budget(half)
-        finding = search_half.deepened(search_half.resumed(self._guesses))
+        finding = search_half.deepened(search_half.resumed(guesses))
         budget.left += half.left
         return finding
+
+    def _with_rival(self, search: Search, finding: Minima | None, known: Minima) -> Minima | None:
+        """`finding`, which extends the hypotheses `known` badly or not at all, merged with a blind search's result.
+
+        The end of their motion may be wrong. Filters that read all readings, with the friction assumed so far, have
+        passed the place where fits of a growing window leave the right motion.
+        """
+        asymmetry = float(known.fits[0].guess.p[RIG][R.FRICTION])
+        attempt = Attempt(search.segment.lasts, RIVALS, asymmetry)
+        self._seed += 1
+        rival = search.with_budget(Budget(LIVE_BUDGET)).blind(attempt, self._seed)
+        merged = search.merged(finding, rival)
+        if merged is not None and not agree(finding, merged):
+            self._confirmations = 0
+        self.surprised = merged is None or merged.surprises(known)
+        return merged
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
         """Whether a hypothesis that explains all readings has to be challenged by a blind search now."""

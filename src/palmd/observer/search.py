@@ -30,7 +30,7 @@ from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import NO_FORCES, Record, lay_out
-from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother, evidence_of
+from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother, contradicts_knowledge, evidence_of
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -92,6 +92,20 @@ class Minima:
     record: Record
     fits: tuple[Fit, ...]
     work: int = 0
+
+    @property
+    def readings(self) -> int:
+        """Number of readings of contacts and forces."""
+        return len(self.record.contact_value) + len(self.record.force_value)
+
+    def surprises(self, before: Minima) -> bool:
+        """Whether the readings added to those of `before` cost more than is likely with the noise of the earlier ones.
+
+        That noise may be far below the described one, which includes smooth errors of place.
+        """
+        added = self.readings - before.readings
+        likely = before.fits[0].cost / before.readings * (added + CHI2_SIGMAS * math.sqrt(2.0 * added))
+        return self.fits[0].cost - before.fits[0].cost > likely
 
     def until(self, t: float) -> Minima | None:
         """The best minimum on the part up to `t` (s); None when hardly anything is left."""
@@ -546,7 +560,7 @@ def explained(fit: Fit, record: Record) -> bool:
         fit.process_cost > MOST_PROCESS_COST * len(record.contact_value),
         fit.prior_cost > MOST_PRIOR_COST,
     )
-    if process_cost_high or prior_cost_high or fit.outlier_run > DIVERGED_READINGS:
+    if process_cost_high or prior_cost_high or fit.outlier_run > DIVERGED_READINGS or contradicts_knowledge(fit):
         return False
     return consistent(fit.chi2, len(record.contact_value)) and (not forces or consistent(fit.force_chi2, forces))
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
-from palmd.model.smoothing import NODE, C
-from palmd.observer.factor import Knowledge
+from palmd.model.smoothing import CONSTANTS, NODE, C
+from palmd.observer.factor import SIZE, Factor, Knowledge, cholesky_solved
 from palmd.observer.normal_equations import WILD_SPIN, Guess, Misfit, NormalEquations, ProcessNoise, Residuals
 from palmd.observer.record import Record
 
@@ -27,6 +27,7 @@ SMALL_PREDICTED, LARGE_PREDICTED = 0.3, 9.0
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
 LEAST_DECREASE = 1e-3  # relative decrease of the cost required of a correction
+KNOWLEDGE_SIGMAS = 3.0  # by which constants may leave what earlier readings determine of them
 
 
 @dataclass(slots=True)
@@ -238,6 +239,30 @@ class Smoother(Residuals):
             return self.posterior(fit)
         except np.linalg.LinAlgError:
             return None
+
+
+def contradicts_knowledge(fit: Fit) -> bool:
+    """Whether the readings have moved (constants, first node) farther from earlier readings' estimate than is likely.
+
+    The squared Mahalanobis distance of a posterior mean from the prior mean has, over many data, the mean
+    tr(1 − P K): P is the posterior covariance, K the prior information. It is compared with that quantile of χ² with as
+    many degrees of freedom. A general prior of objects is not tested: objects may be unlikely.
+    """
+    linearised = fit.linearised
+    if linearised is None or not isinstance(linearised.known, Factor):
+        return False
+    guess, known = fit.guess, linearised.known
+    try:
+        matrix = linearised.equations.summary(guess, known.scale).matrix
+        constants = len(matrix) - 2 * NODE
+        kept = np.r_[:CONSTANTS, constants : constants + NODE]
+        sides = np.zeros((len(matrix), SIZE))
+        sides[kept] = known.terms(guess.p[:CONSTANTS], guess.x[0]).matrix
+        determined = SIZE - float(np.trace(cholesky_solved(matrix, sides)[kept]))
+    except np.linalg.LinAlgError:
+        return False  # no minimum; other tests reject it
+    determined = max(determined, 0.0)
+    return fit.prior_cost > determined + KNOWLEDGE_SIGMAS * math.sqrt(2.0 * determined)
 
 
 def evidence_of(posterior: Posterior | None) -> float:
