@@ -146,7 +146,7 @@ class IncrementalSmoother:
             self._trial_until = max(segment.start + SUFFICIENT_S, tried.end + TRIAL_S)
             return self._smooth(segment, self._fixed_lag)
         confirmed = self._initialiser.confirmed and solution.lasts > SUFFICIENT_S - SPACING_S
-        confirmed = confirmed and not self._initialiser.surprised
+        confirmed = confirmed and not self._initialiser.cost_jumped
         if not confirmed and not self._archive:
             return solution.with_correlated_errors(alone=True)
         fixed_lag = FixedLagSmoother(solution)

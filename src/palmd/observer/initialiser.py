@@ -12,7 +12,6 @@ from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Solution
 from palmd.observer.noise import with_scatter
-from palmd.observer.normal_equations import Guess
 from palmd.observer.search import (
     AMBIGUOUS,
     LIVE_BUDGET,
@@ -46,7 +45,7 @@ ALONE_S = 12.0  # s of readings; a single hypothesis that predicted their end ne
 CHALLENGE = 2.0  # growth factor of the record from one blind search to the next, until one repeats the confirmation
 REACH_S = 2.0  # s of new readings in one step (choice: twice the fixed-lag smoother's: all readings are refitted)
 STEADY_S = 3.0  # s of readings since the machine was last starved, after which earlier ones may be dropped
-RIVALS = 4  # filters from which a rival is searched
+BANKS = 2  # in which a rival is searched
 LONGEST_S, KEPT_S = 30.0, 15.0  # s of readings without any result, and how many of them are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
 """After `IN_VAIN` searches in a row that explain nothing, the latest `RENEWED_S` of readings are kept: longer records
@@ -84,12 +83,13 @@ class Initialiser:
         self._rolls = False
         self._motions: tuple[FloatArray, tuple[int, ...]] | None = None  # that explained it, under which belief
         self._confirmations = self._challenges = 0
+        self._rival_from = -math.inf  # time (s) of the last reading from which on a rival is searched again
         self._failed = self._failed_in_a_row = 0
         self._doubtful = True
         self.hypothesis: Solution | None = None  # the last that explained its readings, with or without rivals
         self.extension_failed = False  # the hypothesis could not be extended to the last readings
         self.unexplained = False  # the last readings, by any smooth outline
-        self.surprised = False  # the last readings are explained worse than those before
+        self.cost_jumped = False  # the last readings are explained worse than those before
         self.needs_from = -float("inf")  # time (s) before which readings are not needed any more
 
     def search(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Solution | None:
@@ -130,14 +130,14 @@ class Initialiser:
             return None
         finding: Minima | None = None
         known = self._known_until(segment)
-        self.surprised = False
+        self.cost_jumped = False
         if known is not None and self._known is not None:
             finding = self._resumed(search, self._known, budget)
             self.extension_failed = self._allows_trial and (finding is None or not search.covers(finding))
             if self.extension_failed:
                 return None
-            self.surprised = finding is None or finding.surprises(self._known)
-            if self.surprised:
+            self.cost_jumped = finding is None or finding.jumps_from(self._known)
+            if self.cost_jumped and segment.end >= self._rival_from:
                 finding = self._with_rival(search, finding, self._known)
             if finding is None and self.confirmed and now - known < LOST_S:
                 return None  # one step that is hard to fit does not reject a confirmed hypothesis
@@ -194,16 +194,20 @@ class Initialiser:
         """`finding`, which extends the hypotheses `known` badly or not at all, merged with a blind search's result.
 
         The end of their motion may be wrong. Filters that read all readings, with the friction assumed so far, have
-        passed the place where fits of a growing window leave the right motion.
+        passed the place where fits of a growing window leave the right motion. After a search in vain, some new
+        readings are awaited before the next.
         """
         asymmetry = float(known.fits[0].guess.p[RIG][R.FRICTION])
-        attempt = Attempt(search.segment.lasts, RIVALS, asymmetry)
-        self._seed += 1
-        rival = search.with_budget(Budget(LIVE_BUDGET)).blind(attempt, self._seed)
+        rival, budget = None, Budget(LIVE_BUDGET)
+        for _ in range(BANKS):
+            self._seed += 1
+            rival = rival or search.with_budget(budget).rival(asymmetry, self._seed)
         merged = search.merged(finding, rival)
         if merged is not None and not agree(finding, merged):
-            self._confirmations = 0
-        self.surprised = merged is None or merged.surprises(known)
+            self._confirmations, self._rolls = 0, False
+        else:
+            self._rival_from = search.segment.end + LEAST_S
+        self.cost_jumped = merged is None or merged.jumps_from(known)
         return merged
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:

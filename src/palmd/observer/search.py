@@ -64,6 +64,9 @@ MOTIONS = (0, 1, 2)  # rows of `TURNS`
 MOTION_ITERATIONS = 30  # of a fit with one of these motions
 # residual, and number of readings in a row with it, by which a prediction has diverged
 DIVERGED_SIGMAS, DIVERGED_READINGS = 8.0, 5
+RIVALS, RIVAL_ITERATIONS = 4, 20
+"""Filters from which fits of all readings start, and iterations of each (study 2026-12-01, 16 starts from each of six
+banks: most starts near the right motion converge within 20, and depend more on the bank than on their rank in it)."""
 RIVAL = 25.0  # twice the log-likelihood by which a rival may be worse and is kept
 DOUBT = 9.0  # and by which it makes the answer ambiguous
 LIKELIER = 5.0  # log evidence by which one minimum is preferred to another
@@ -98,12 +101,15 @@ class Minima:
         """Number of readings of contacts and forces."""
         return len(self.record.contact_value) + len(self.record.force_value)
 
-    def surprises(self, before: Minima) -> bool:
-        """Whether the readings added to those of `before` cost more than is likely with the noise of the earlier ones.
+    def jumps_from(self, before: Minima) -> bool:
+        """Whether the readings added to those of `before` cost more than is likely, or are not explained to their end.
 
-        That noise may be far below the described one, which includes smooth errors of place.
+        Likely is what readings cost with the noise of the earlier ones, which may be far below the described noise: that
+        includes smooth errors of place.
         """
         added = self.readings - before.readings
+        if added < 0:
+            return True
         likely = before.fits[0].cost / before.readings * (added + CHI2_SIGMAS * math.sqrt(2.0 * added))
         return self.fits[0].cost - before.fits[0].cost > likely
 
@@ -229,6 +235,18 @@ class Search:
         )
         guesses = [start.guess(record.t) for start in starts]
         return self.deepened(self._grown_from(record, guesses, attempt.work)) if starts else None
+
+    def rival(self, asymmetry: float, seed: int) -> Minima | None:
+        """Fits of all readings at once, from filters of a bank that has read all of them; None if none is explained.
+
+        asymmetry: of the palms' friction, assumed by the bank.
+        """
+        begin, events = float(self.record.t[0]), self.segment.events()
+        starts = blind_starts(events, self.rig, begin, self.segment.lasts, seed, RIVALS, asymmetry)
+        smoother = self.smoother(self.record)
+        fits = [smoother.fit(start.guess(self.record.t), self.noise, RIVAL_ITERATIONS) for start in starts]
+        fits = [fit for fit in fits if explained(fit, self.record)]
+        return self.deepened(Minima(self.record, _distinct(fits))) if fits else None
 
     def _extended_backwards(self, attempt: Attempt, seed: int) -> Minima | None:
         """As `blind` without the first seconds, to which the result is extended backwards."""

@@ -1,5 +1,7 @@
 """A chain of marginalised segments has the information of the whole record."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import simulated
@@ -9,11 +11,12 @@ from palmd.observer import chain as chain_module
 from palmd.observer.chain import Chain
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import Guess, NormalEquations
-from palmd.observer.search import NOISE, Attempt, Search
+from palmd.observer.search import NOISE, Attempt, Search, explained
 from palmd.observer.smoother import Smoother
 from palmd.system.description import RigDescription
 
 STEPS = 100  # 1 s
+DRAWS = 20
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +178,24 @@ def test_a_chain_converges_to_its_readings_after_a_change_of_the_prior(smoothed)
     once = chain.known(wrong)
     stepped = wrong + once.solved(once.side)[:CONSTANTS]
     assert (np.abs(chain.settle(wrong) - p) / sd).max() < 0.2 < (np.abs(stepped - p) / sd).max()
+
+
+def unexplained(smoothed, sigmas):
+    """Whether later readings are unexplained, for random errors of what the first ones determine, so many σ large."""
+    search, finding = smoothed
+    record, guess = finding.record, finding.fits[0].guess
+    chain, half = Chain(search.library, NOISE, search.prior), 3 * STEPS
+    chain.append(record.between(0, half), Guess(guess.x[: half + 1], guess.p))
+    known, rest = chain.known(guess.p), record.between(half, len(record.dt))
+    root, random = np.linalg.inv(np.linalg.cholesky(known.matrix)).T, np.random.default_rng(5)
+    found = list[bool]()
+    for _ in range(DRAWS):
+        wrong = replace(known, about=known.about + sigmas * root @ random.standard_normal(len(known.about)))
+        fit = Smoother(search.library, rest, wrong).fit(Guess(guess.x[half:], guess.p), search.noise)
+        found.append(not explained(fit, rest))
+    return np.array(found)
+
+
+def test_readings_contradict_constants_that_earlier_readings_exclude(smoothed):
+    assert unexplained(smoothed, 1.0).sum() <= 1  # the error that is expected
+    assert unexplained(smoothed, 3.0).mean() > 0.9

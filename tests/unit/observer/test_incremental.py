@@ -391,6 +391,7 @@ def test_a_continuation_that_fails_strictly_is_followed_on_trial(monkeypatch):
         assert not beside.answers[-1].established
         with monkeypatch.context() as patch:
             patch.setattr(Search, "resumed", resumed)
+            patch.setattr(Search, "rival", lambda *_: None)
             beside.until(9.0, session)
         return beside.answers
 
@@ -412,6 +413,7 @@ def test_an_explanation_of_the_first_readings_only_is_never_established(monkeypa
         return found.until(SUFFICIENT_S - 1.0) or found if strict and found is not None else found
 
     monkeypatch.setattr(Search, "resumed", resumed)
+    monkeypatch.setattr(Search, "rival", lambda *_: None)
     beside = Beside(run)
     beside.until(9.0, Session(1, 0.0))
     assert beside.answers[-1].t > SUFFICIENT_S - 1.5

@@ -237,6 +237,16 @@ def test_a_fit_that_does_not_converge_is_retried_with_the_friction_discrepancy(r
     assert search.with_friction_discrepancy(unsettled) is unsettled
 
 
+def test_readings_that_a_hypothesis_cannot_be_extended_to_are_explained_by_a_rival(rig, monkeypatch):
+    whole = longest_segment(simulated("friction", 107, 10.0).events)
+    seek = Initialiser(rig, 0)
+    assert seek.search(whole.until(whole.start + 1.5), None) is not None
+    monkeypatch.setattr(Search, "resumed", lambda *_: None)
+    solution = seek.search(whole.until(whole.start + 2.5), None)
+    assert solution is not None
+    assert solution.lasts > 2.4
+
+
 def test_one_unexplained_step_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 10.0).events)
@@ -245,6 +255,7 @@ def test_one_unexplained_step_does_not_reject_a_confirmed_hypothesis(rig, asked,
     assert seek.confirmed
     with monkeypatch.context() as hard:
         hard.setattr(Search, "resumed", lambda *_: None)
+        hard.setattr(Search, "rival", lambda *_: None)
         assert seek.search(whole.until(whole.start + 2.5), None) is None
         assert not seek.unexplained
         assert order == ["blind"]
@@ -252,5 +263,6 @@ def test_one_unexplained_step_does_not_reject_a_confirmed_hypothesis(rig, asked,
     assert seek.search(whole.until(whole.start + 2.8), None) is not None
     assert order == ["blind"]
     monkeypatch.setattr(Search, "resumed", lambda *_: None)
+    monkeypatch.setattr(Search, "rival", lambda *_: None)
     seek.search(whole, None)
     assert len(order) > 1  # after `LOST_S` a new search is started
