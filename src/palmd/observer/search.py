@@ -104,8 +104,8 @@ class Minima:
     def jumps_from(self, before: Minima) -> bool:
         """Whether the readings added to those of `before` cost more than is likely, or are not explained to their end.
 
-        Likely is what readings cost with the noise of the earlier ones, which may be far below the described noise: that
-        includes smooth errors of place.
+        Likely is what readings cost with the noise of the earlier ones. The described noise may be far above it, since
+        it includes smooth errors of place.
         """
         added = self.readings - before.readings
         if added < 0:
