@@ -4,6 +4,7 @@ import csv
 import io
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,12 +81,48 @@ def test_servos_are_strong_and_palms_stiff_enough():
     assert loads.deflection_mm(TABLETOP, 0.1 * 9.81, 30.0) < 0.05, "the value of standoff_sd_mm"
 
 
+def test_the_carrier_vibrates_below_its_resonance_fast_enough():
+    lowest, highest = min(loads.MOTORS_HZ), max(loads.MOTORS_HZ)
+    assert highest - lowest > 5.0, "independent vibrations"
+    force = loads.motor_force_n()
+    for stiffness in (1.0, *loads.FOAM_RANGE):
+        mount = loads.mount(TABLETOP, stiffness)
+        assert highest < 0.5 * mount.resonance_hz, "no law of friction is valid near the resonance"
+        assert mount.speed_m_s(force, lowest) > 0.009
+    assert loads.mount(TABLETOP).speed_m_s(force, lowest) > 2.0 * 0.012, "reserve"
+
+
+def test_the_carrier_sinks_little():
+    mount, worst = loads.mount(TABLETOP), loads.worst(TABLETOP, LimitsConfig())
+    assert mount.sink_mm(worst.force_n, worst.s_mm) < 0.1
+    assert mount.tilt_rad(worst.force_n, worst.s_mm) < np.radians(0.125), "half the servo's play"
+    assert mount.sink_mm(0.1 * 9.81, 20.0) < 0.05, "the value of standoff_sd_mm"
+
+
+def test_limits_of_the_mount():
+    mount = loads.mount(TABLETOP)
+    assert mount.tilt_rad(1.0, mount.middle_mm) == pytest.approx(0.0)
+    assert mount.sink_mm(1.0, mount.middle_mm) == pytest.approx(1e3 / mount.normal_n_m)
+    slow = mount.speed_m_s(1.0, 1.0) / (2.0 * np.pi)
+    assert slow == pytest.approx(1.0 / mount.shear_n_m, rel=1e-4), "far below the resonance: the foam's stiffness"
+    fast = mount.speed_m_s(1.0, 1e5) * 2.0 * np.pi * 1e5
+    assert fast == pytest.approx(1.0 / mount.mass_kg, rel=1e-3), "far above it: the mass"
+    assert loads.mount(TABLETOP, 4.0).resonance_hz == pytest.approx(2.0 * mount.resonance_hz)
+    one = loads.mount(replace(TABLETOP, foam_pads=2, foam_length=31.25))
+    assert one.tilting_nm_rad == pytest.approx(one.normal_n_m * 0.0625**2 / 12.0), "two pads that touch"
+
+
+def test_the_firmware_drives_the_motors_at_the_computed_frequencies():
+    program = (firmware.FIRMWARE / "strip.ino").read_text()
+    assert f"PERIOD_PALM1 = {loads.MOTOR_PERIODS[0]}, PERIOD_PALM2 = {loads.MOTOR_PERIODS[1]};" in program
+
+
 def test_forces_balance_the_weight():
     g, weight = TABLETOP, loads.LARGEST_KG * loads.GRAVITY_M_S2
     load = loads.worst(g, LimitsConfig(phi1_deg=(44.0, 46.0), phi2_deg=(90.0, 92.0)), 20.0)
     assert load.force_n == pytest.approx(weight / 2**0.5, rel=0.06)
     assert load.s_mm == pytest.approx(20.0, rel=0.04)
-    assert load.torque_nm == pytest.approx((load.force_n * load.s_mm + 0.019 * 9.81 * 26.5) * 1e-3, rel=0.05)
+    assert load.torque_nm == pytest.approx((load.force_n * load.s_mm + 0.0233 * 9.81 * 26.5) * 1e-3, rel=0.05)
 
 
 def test_without_the_programs_the_skipped_steps_are_listed(tmp_path, monkeypatch):
@@ -111,13 +148,17 @@ def test_printed_parts_are_closed_fit_the_bed_and_do_not_overlap(tmp_path, monke
     program.write_text(kit.PROGRAM.read_text().replace("$fn = 64;", "$fn = 20;"))
     monkeypatch.setattr(kit, "PROGRAM", program)
     (tmp_path / "parameters.scad").write_text(kit.TEXTS["parameters.scad"](TABLETOP))
-    assert len(kit.printed(tmp_path, TABLETOP)) == 4
-    parts = {name: read_stl(tmp_path / f"{name}.stl") for name in ("palm", "bracket", "base")}
+    assert len(kit.printed(tmp_path, TABLETOP)) == 5
+    parts = {name: read_stl(tmp_path / f"{name}.stl") for name in ("palm", "carrier", "bracket", "base")}
     assert parts["base"].size == pytest.approx((TABLETOP.base_length, TABLETOP.base_width, TABLETOP.base_thickness))
     palm = parts["palm"].triangles.reshape(-1, 3)
     assert palm[:, 0].max() == pytest.approx(TABLETOP.palm_length)
     assert palm[:, 1].max() == pytest.approx(TABLETOP.cheek_end)
     assert parts["palm"].volume * 1e-9 * loads.PLA_KG_M3 == pytest.approx(loads.palm_mass_kg(TABLETOP), rel=0.1)
+    carrier = loads.carrier_mass_kg(TABLETOP) - loads.MOTOR_KG
+    assert parts["carrier"].volume * 1e-9 * loads.PLA_KG_M3 == pytest.approx(carrier, rel=0.3), "without the strip"
+    low = {**parts, "carrier": parts["carrier"].moved(np.eye(3), np.array([0.0, 0.0, -1.2]))}
+    assert any("palm 1 and carrier 1" in line for line in collisions(TABLETOP, low)), "1.2 mm of 1 mm of foam"
     thick = {**parts, "palm": parts["palm"].moved(np.eye(3), np.array([0.0, 0.3, 0.0]))}
     assert any("palm 1 and palm 2" in line for line in collisions(TABLETOP, thick)), "each 0.3 mm out of 0.5"
     assert set(assembled(TABLETOP, parts, 45.0, 135.0)) >= {"palm 1", "palm 2", "servo 1", "bracket 2", "base"}

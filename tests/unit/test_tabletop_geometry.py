@@ -15,12 +15,13 @@ from palmd.devices.strip import POSITION_MAX
 from palmd.yamlfile import load_config
 from tools.tabletop.drawing import drawing
 from tools.tabletop.geometry import TABLETOP
+from tools.tabletop.loads import LARGEST_RADIUS_MM
 from tools.tabletop.mjcf import mjcf
 from tools.tabletop.parameters import parameters
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_config(ROOT / "config/tabletop.yaml")
-OTHER = replace(TABLETOP, strip_start=3.0, strip_length=73.5, palm_length=88.0, palm_width=18.0, axis_height=75.0)
+OTHER = replace(TABLETOP, strip_start=3.0, strip_length=73.5, palm_length=89.0, palm_width=18.0, axis_height=75.0)
 """Another rig, to test that the results follow the geometry."""
 
 
@@ -61,8 +62,24 @@ def test_init_writes_the_drawn_rig_on_enter():
 @pytest.mark.parametrize("geometry", [TABLETOP, OTHER])
 def test_the_drawing_shows_the_geometry(geometry):
     shown = re.findall(r'data-name="(\w+)">[^<]*?([\d.]+)</text>', drawing(geometry))
-    assert {"palm_length", "strip_length", "strip_start", "palm_width", "axis_height"} <= {name for name, _ in shown}
+    needed = {"palm_length", "strip_length", "strip_start", "palm_width", "axis_height"}
+    assert needed | {"carrier_thickness", "foam_thickness", "motor_diameter", "motor_thickness"} <= {
+        name for name, _ in shown
+    }
     assert all(float(value) == getattr(geometry, name) for name, value in shown)
+
+
+@pytest.mark.parametrize("geometry", [TABLETOP, OTHER])
+def test_layers_under_the_axis_and_the_motor_beyond_the_strip(geometry):
+    g = geometry
+    layers = g.skin_thickness + g.strip_thickness + g.carrier_thickness + g.foam_thickness
+    assert g.surface == pytest.approx(layers)
+    assert g.foam_first + (g.foam_pads - 1) * g.foam_pitch + g.foam_length == pytest.approx(g.strip_end + g.strip_edge)
+    assert g.foam_pitch > g.foam_length, "pads do not overlap"
+    assert g.surface > g.motor_depth > g.carrier_under, "the motor's force goes through the foam"
+    top = g.motor_diameter / 2 - g.motor_depth  # over the surface, where the largest object curves away from it
+    reach = (LARGEST_RADIUS_MM**2 - (LARGEST_RADIUS_MM - top) ** 2) ** 0.5
+    assert g.strip_end + reach < g.motor_start, "the object does not touch the motor"
 
 
 @pytest.mark.parametrize("geometry", [TABLETOP, OTHER])
@@ -87,9 +104,14 @@ def test_the_mujoco_model_has_the_geometry(geometry):
         return [(1e3 * (m - h), 1e3 * (m + h)) for m, h in zip(middle, half, strict=True)]
 
     for number in (1, 2):
-        along, normal, axis = span("geom", f"plate{number}")
+        along, normal, axis = span("geom", f"carrier{number}")
         assert along == pytest.approx((geometry.palm_start, geometry.palm_length), abs=1e-3)
         assert min(map(abs, normal)) == pytest.approx(0.0, abs=1e-3), "the surface goes through the axis"
+        assert max(map(abs, normal)) == pytest.approx(geometry.carrier_under, abs=1e-3)
+        assert axis[1] - axis[0] == pytest.approx(geometry.carrier_width, abs=1e-3)
+        along, normal, axis = span("geom", f"plate{number}")
+        assert along == pytest.approx((geometry.palm_start, geometry.palm_length), abs=1e-3)
+        assert min(map(abs, normal)) == pytest.approx(geometry.surface, abs=1e-3)
         assert axis[1] - axis[0] == pytest.approx(geometry.palm_width, abs=1e-3)
         assert span("site", f"pad{number}")[0] == pytest.approx((geometry.strip_start, geometry.strip_end), abs=1e-3)
 

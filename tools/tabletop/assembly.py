@@ -10,8 +10,10 @@ import numpy as np
 from tools.tabletop.geometry import Tabletop
 from tools.tabletop.mesh import Mesh, box, overlaps, turned
 
-PARTS = ("palm", "bracket", "base")
+PARTS = ("palm", "carrier", "bracket", "base")
 """The printed parts."""
+FIXED = {"base", "servo", "bracket"}
+"""Parts that do not turn with a palm."""
 POSES_DEG = ((45.0, 135.0), (6.0, 41.0), (6.0, 161.0), (90.0, 125.0), (137.0, 172.0))
 """Directions of both palms from the x axis: the middle and the extremes of the default limits."""
 
@@ -24,11 +26,20 @@ def assembled(geometry: Tabletop, parts: Mapping[str, Mesh], first_deg: float, s
         (-g.servo_width / 2, g.servo_start, g.servo_axis - g.servo_height),
         (g.servo_width / 2, g.bracket_start, g.servo_axis),
     ).moved(np.eye(3), up)
+    turns = turned("y", -first_deg), turned("y", 180.0 - second_deg) @ about
+    motor = box(
+        (g.motor_start, -g.motor_diameter / 2, -g.motor_depth - g.motor_diameter / 2),
+        (g.palm_length - g.motor_wall, g.motor_diameter / 2, -g.motor_depth + g.motor_diameter / 2),
+    )
+    moving = {"palm": parts["palm"], "carrier": parts["carrier"], "motor": motor}
     bracket = parts["bracket"].moved(np.eye(3), np.array([0.0, g.bracket_start, 0.0]))
     return {
         "base": parts["base"],
-        "palm 1": parts["palm"].moved(turned("y", -first_deg), up),
-        "palm 2": parts["palm"].moved(turned("y", 180.0 - second_deg) @ about, up),
+        **{
+            f"{name} {palm}": mesh.moved(turn, up)
+            for palm, turn in enumerate(turns, 1)
+            for name, mesh in moving.items()
+        },
         "servo 1": case,
         "servo 2": case.moved(about, still),
         "bracket 1": bracket,
@@ -41,6 +52,6 @@ def collisions(geometry: Tabletop, parts: Mapping[str, Mesh]) -> Iterator[str]:
     for number, pose in enumerate(POSES_DEG):
         placed = assembled(geometry, parts, *pose)
         for one, other in combinations(placed, 2):
-            moves = "palm" in one + other
+            moves = not {one.split()[0], other.split()[0]} <= FIXED
             if (moves or number == 0) and overlaps(placed[one], placed[other]):
                 yield f"{one} and {other} overlap with the palms at {pose[0]:g}° and {pose[1]:g}°"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from tools.tabletop.geometry import Tabletop
-from tools.tabletop.svg import BODY, METAL, NEW, SERVO, STRIP, THIN, Point, View, document
+from tools.tabletop.svg import BODY, FOAM, METAL, NEW, SERVO, STRIP, THIN, Point, View, document
 
 ANGLES_DEG = (45.0, 135.0)  # of the palms, from the world X axis
 OBJECT_MM = 20.0  # radius of the drawn object
@@ -23,7 +23,7 @@ def drawing(g: Tabletop) -> str:
     ]
     for view, draw in zip(views, (_front, _side, _palm_from_side, _palm_from_above), strict=True):
         draw(g, view)
-    return document(scale * 360, scale * 295, views)
+    return document(scale * 360, scale * 310, views)
 
 
 def _along(angle_deg: float, s: float, off: float) -> Point:
@@ -32,6 +32,18 @@ def _along(angle_deg: float, s: float, off: float) -> Point:
     side = 1.0 if angle_deg < 90.0 else -1.0
     normal = (-math.sin(angle) * side, math.cos(angle) * side)
     return s * math.cos(angle) + off * normal[0], s * math.sin(angle) + off * normal[1]
+
+
+def _carrier(g: Tabletop) -> list[tuple[str, tuple[float, float, float, float]]]:
+    """Return style and x0, x1, z0, z1 of foam pads, carrier, end wall and motor, seen across the palm."""
+    radius, wall = g.motor_diameter / 2, g.palm_length - g.motor_wall
+    starts = [g.foam_first + number * g.foam_pitch for number in range(g.foam_pads)]
+    return [
+        *((FOAM, (start, start + g.foam_length, -g.surface, -g.carrier_under)) for start in starts),
+        (NEW, (g.palm_start, g.palm_length, -g.carrier_under, -g.carrier_top)),
+        (NEW, (wall, g.palm_length, -g.motor_depth - radius, -g.carrier_top)),
+        (METAL, (g.motor_start, wall, -g.motor_depth - radius, -g.motor_depth + radius)),
+    ]
 
 
 def _front(g: Tabletop, view: View) -> None:
@@ -50,6 +62,8 @@ def _front(g: Tabletop, view: View) -> None:
         view.circle(0.0, 0.0, g.cheek_radius, BODY)
         for part in (arm, plate):
             view.shape([_along(angle, *corner) for corner in part], BODY)
+        for style, (x0, x1, z0, z1) in _carrier(g):
+            view.shape([_along(angle, *corner) for corner in ((x0, z0), (x1, z0), (x1, z1), (x0, z1))], style)
         view.line(_along(angle, g.strip_start, 0.0), _along(angle, g.strip_end, 0.0), STRIP)
         view.text(*_along(angle, g.palm_length + 9, -4), f"palm {number}")
     view.circle(0.0, 0.0, g.pin / 2, 'fill="white" stroke="black"')
@@ -97,6 +111,10 @@ def _half(g: Tabletop, view: View, way: int, shift: float, new: Mapping[str, str
     at(-g.eye_start - g.bearing_width, -g.eye_start, -r, r, "bearing", METAL)
     if "pin" not in hidden:
         at(g.eye_start, g.eye_start + g.pin_length, -g.pin / 2, g.pin / 2, "pin", METAL)
+    if "carrier" not in hidden:
+        at(-g.carrier_width / 2, g.carrier_width / 2, g.palm_start, g.palm_length, "carrier")
+        radius = g.motor_diameter / 2
+        at(-radius, radius, g.motor_start, g.palm_length - g.motor_wall, "motor", METAL)
     if "strip" not in hidden:
         at(-g.strip_width / 2, g.strip_width / 2, g.strip_start, g.strip_end, "strip", 'fill="#bf616a" stroke="none"')
 
@@ -107,6 +125,8 @@ def _palm_from_side(g: Tabletop, view: View) -> None:
     view.box(0.0, g.arm_length, -g.arm_depth, -g.surface, BODY)
     view.circle(0.0, 0.0, g.cheek_radius, BODY)
     view.box(g.palm_start, g.palm_length, under, -g.surface, BODY)
+    for style, (x0, x1, z0, z1) in _carrier(g):
+        view.box(x0, x1, z0, z1, style)
     view.line((g.strip_start, 0.0), (g.strip_end, 0.0), STRIP)
     view.circle(0.0, 0.0, g.pin / 2, 'fill="white" stroke="black"')
     view.line((-14.0, 0.0), (g.palm_length + 4, 0.0), THIN)
@@ -115,13 +135,26 @@ def _palm_from_side(g: Tabletop, view: View) -> None:
     view.text(g.strip_start, 9.0, f"strip begins at {g.strip_start:g}", "start", ' data-name="strip_start"')
     view.dimension((g.palm_length + 3, under), (g.palm_length + 3, -g.surface), "palm_thickness", g.palm_thickness, 0.0)
     view.dimension((0.0, -20.0), (g.arm_length, -20.0), "arm_length", g.arm_length)
-    view.text(0.0, -27.0, f"palm, from the servo's side; {g.surface:g} of strip and skin up to the axis", "start")
+    view.text(0.0, -27.0, f"palm, from the servo's side; plate {g.surface:g} below the axis:", "start")
+    layers = (
+        ("foam_thickness", "foam"), ("carrier_thickness", "carrier"), ("strip_thickness", "strip"),
+        ("skin_thickness", "skin"),
+    )  # fmt: skip
+    for number, (name, words) in enumerate(layers):
+        words = f"{words} {getattr(g, name):g}"
+        view.text(18.0 * number, -31.0, words, "start", f' data-name="{name}"')
+    view.text(0.0, -35.0, f"motor, Ø {g.motor_diameter:g}", "start", ' data-name="motor_diameter"')
+    view.text(24.0, -35.0, f"thick {g.motor_thickness:g}", "start", ' data-name="motor_thickness"')
+    view.text(44.0, -35.0, "moves along the palm, axis in the middle of the foam", "start")
 
 
 def _palm_from_above(g: Tabletop, view: View) -> None:
     """The same palm, seen onto the strip."""
     _plan(g, view, 1, 0.0, {"hidden": "servo"})
     half, tail = g.palm_width / 2, g.strip_end + g.strip_edge
+    across = (half + g.cheek_start) / 2
+    for x in (g.arm_length - 4, g.arm_length - 10):
+        view.circle(x, across, g.end_hole / 2, 'fill="white" stroke="black"')
     view.box(tail, tail + g.tail_slot, -g.tail_width / 2, g.tail_width / 2, 'fill="white" stroke="black"')
     view.dimension((g.palm_length + 4, -half), (g.palm_length + 4, half), "palm_width", g.palm_width, 0.0)
     view.text(0.0, -22.0, "palm, onto the strip; its leads go through the slot", "start")
@@ -142,6 +175,12 @@ def _plan(g: Tabletop, view: View, way: int, shift: float, new: Mapping[str, str
     at(-g.eye_radius, 2 * g.eye_radius, -eye_end, -g.eye_start, palm)
     at(-g.bearing_outer / 2, g.bearing_outer / 2, -eye_end, -g.eye_start, METAL)
     at(g.palm_start, g.palm_length, -half, half, palm)
+    if "carrier" not in hidden:
+        for start in (g.foam_first + number * g.foam_pitch for number in range(g.foam_pads)):
+            at(start, start + g.foam_length, -half, half, FOAM)
+        width, radius = g.carrier_width / 2, g.motor_diameter / 2
+        at(g.palm_start, g.palm_length, -width, width, NEW)
+        at(g.motor_start, g.palm_length - g.motor_wall, -radius, radius, METAL)
     if "strip" not in hidden:
         width = g.strip_width / 2
         at(g.strip_start, g.strip_end, -width, width, 'fill="#e5b9bd" stroke="#bf616a"')
@@ -153,31 +192,33 @@ STEPS = (
     "1 bearing into the eye",
     "2 servo on the cheek",
     "3 palms together, then the pins",
-    "4 strip and skin",
-    "5 bracket on the servo",
-    "6 brackets on the base",
+    "4 motor and carrier, on foam",
+    "5 strip and skin",
+    "6 bracket on the servo",
+    "7 brackets on the base",
 )
 
 
 def assembly(g: Tabletop) -> str:
     """Return the assembly steps; new parts are yellow. Views across the axis; step 3 from above, palms lying flat."""
-    scale, wide, high = 1.7, 190.0, 190.0
+    scale, wide, high, columns = 1.5, 190.0, 190.0, 4
     views = [
-        View(scale * wide * (number % 3 + 0.5), scale * (high * (number // 3) + 105.0), scale)
+        View(scale * wide * (number % columns + 0.5), scale * (high * (number // columns) + 105.0), scale)
         for number in range(len(STEPS))
     ]
-    bare = {"hidden": "strip servo bracket pin"}
+    bare = {"hidden": "carrier strip servo bracket pin"}
     _half(g, views[0], 1, 0.0, {**bare, "bearing": NEW})
-    _half(g, views[1], 1, 0.0, {"hidden": "strip bracket pin", "servo": NEW, "horn": NEW})
+    _half(g, views[1], 1, 0.0, {"hidden": "carrier strip bracket pin", "servo": NEW, "horn": NEW})
     for way in (1, -1):
-        _plan(g, views[2], way, 12.0, {"hidden": "strip"})
+        _plan(g, views[2], way, 12.0, {"hidden": "carrier strip"})
         low, high = sorted((way * g.eye_start, way * (g.eye_start - g.pin_length)))
         views[2].box(-g.pin / 2, g.pin / 2, low, high, NEW)
-        _half(g, views[3], way, 0.0, {"hidden": "bracket", "strip": NEW})
-        _half(g, views[4], way, 0.0, {"bracket": NEW})
-        _half(g, views[5], way, 0.0, {})
+        _half(g, views[3], way, 0.0, {"hidden": "bracket strip", "carrier": NEW, "motor": NEW})
+        _half(g, views[4], way, 0.0, {"hidden": "bracket", "strip": NEW})
+        _half(g, views[5], way, 0.0, {"bracket": NEW})
+        _half(g, views[6], way, 0.0, {})
     low = -g.axis_height
-    views[5].box(-g.base_width / 2, g.base_width / 2, low - g.base_thickness, low, NEW)
+    views[6].box(-g.base_width / 2, g.base_width / 2, low - g.base_thickness, low, NEW)
     for view, words in zip(views, STEPS, strict=True):
         view.text(0.0, low - 16, words)
-    return document(scale * wide * 3, scale * high * 2, views)
+    return document(scale * wide * columns, scale * high * 2, views)

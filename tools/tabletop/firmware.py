@@ -37,10 +37,17 @@ def _hex(folder: Path) -> str:
         return f"skipped: no AVR compiler or Arduino core (apt-get install {AVR_PACKAGES})"
     core, work = ARDUINO / "cores/arduino", folder / "objects"
     work.mkdir(exist_ok=True)
-    include = [f"-I{path}" for path in (core, ARDUINO / "variants/micro", FIRMWARE)]
+    wire = ARDUINO / "libraries/Wire/src"
+    include = [f"-I{path}" for path in (core, ARDUINO / "variants/micro", FIRMWARE, wire, wire / "utility")]
     sketch = work / "strip.ino.cpp"
     sketch.write_text("#include <Arduino.h>\n" + (FIRMWARE / "strip.ino").read_text(encoding="utf-8"), encoding="utf-8")
-    sources = [sketch, FIRMWARE / "strip.c", *sorted(each for each in core.iterdir() if each.suffix in (".c", ".cpp"))]
+    sources = [
+        sketch,
+        FIRMWARE / "strip.c",
+        wire / "Wire.cpp",
+        wire / "utility/twi.c",
+        *sorted(each for each in core.iterdir() if each.suffix in (".c", ".cpp")),
+    ]
     objects = []
     for source in sources:
         cpp = source.suffix == ".cpp"

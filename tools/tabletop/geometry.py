@@ -20,7 +20,7 @@ class Tabletop:
     palm_width: float = 16.0
     """Width along the axis."""
     palm_thickness: float = 5.0
-    """Thickness of the plate behind the strip."""
+    """Thickness of the plate under the carrier."""
     palm_start: float = 2.0
     """From the axis to the plate's inner end; the pins are inserted from between the palms."""
     strip_start: float = STRIP_START_MM
@@ -35,12 +35,31 @@ class Tabletop:
     """Thickness with adhesive."""
     skin_thickness: float = 0.1
     """Thickness of the film over the strip, whose surface must pass through the axis."""
+    # carrier: holds strip and motor, vibrates along the palm on pads of foam
+    carrier_thickness: float = 2.0
+    """Thickness of the carrier under the strip."""
+    carrier_width: float = 15.0
+    """Width of the carrier, less than the palm's."""
+    foam_thickness: float = 1.0
+    """Thickness of a foam pad with adhesive on both sides."""
+    foam_length: float = 14.0
+    """Length of each foam pad along the palm; its width is the carrier's."""
+    foam_pads: int = 4
+    """Number of pads, spaced evenly under the strip."""
+    motor_diameter: float = 8.0
+    """Diameter of the coin-shaped linear resonant actuator, which moves along its axis and stands across the palm."""
+    motor_thickness: float = 3.2
+    """Thickness of the motor, along the palm."""
+    motor_wall: float = 1.8
+    """Thickness of the carrier's end wall, to which a face of the motor is glued."""
+    motor_gap: float = 1.0
+    """Gap between the motor and the notch in the plate."""
     tail_width: float = 12.0
-    """Width of the slot for the strip's leads."""
+    """Width of the slot for the strip's leads, in carrier and plate."""
     tail_slot: float = 2.0
     """Extent of this slot along the palm."""
     end_hole: float = 3.2
-    """Diameter of the two holes at the palm's end, for a cable tie and a rubber band."""
+    """Diameter of the two holes beside the arm's end, for a cable tie and a rubber band."""
     # hinge
     clearance: float = 0.5
     """Gap along the axis between parts that move against each other."""
@@ -56,7 +75,7 @@ class Tabletop:
     """Wall around a bearing."""
     arm_length: float = 60.0
     """From the axis to the end of the arm that stiffens the plate."""
-    arm_depth: float = 16.0
+    arm_depth: float = 19.0
     """Depth of that arm, measured behind the palm's surface."""
     arm_start: float = 12.0
     """From the axis to where arm and plate are joined: outside the other palm's eye."""
@@ -143,9 +162,39 @@ class Tabletop:
         return round(STRIP_COUNTS / self.strip_length, 2)
 
     @property
-    def surface(self) -> float:
-        """Distance from the plate to the axis: strip and skin."""
+    def carrier_top(self) -> float:
+        """Distance from the carrier to the axis: strip and skin."""
         return self.strip_thickness + self.skin_thickness
+
+    @property
+    def carrier_under(self) -> float:
+        """Distance from the carrier's underside to the axis."""
+        return self.carrier_top + self.carrier_thickness
+
+    @property
+    def surface(self) -> float:
+        """Distance from the plate to the axis: skin, strip, carrier and foam."""
+        return self.carrier_under + self.foam_thickness
+
+    @property
+    def foam_first(self) -> float:
+        """From the axis to the first foam pad."""
+        return self.palm_start + 0.5
+
+    @property
+    def foam_pitch(self) -> float:
+        """Distance of the foam pads' middles; the last pad ends at the slot for the leads."""
+        return (self.strip_end + self.strip_edge - self.foam_length - self.foam_first) / (self.foam_pads - 1)
+
+    @property
+    def motor_start(self) -> float:
+        """From the axis to the motor, which is glued to the end wall."""
+        return self.palm_length - self.motor_wall - self.motor_thickness
+
+    @property
+    def motor_depth(self) -> float:
+        """Distance of the motor's axis from the hinge line: middle of the foam, so that its force does not tilt."""
+        return self.carrier_under + 0.5 * self.foam_thickness
 
     @property
     def eye_radius(self) -> float:

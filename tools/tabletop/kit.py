@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 from tools.tabletop import firmware
 from tools.tabletop.assembly import PARTS, collisions
@@ -40,13 +41,13 @@ class KitError(Exception):
 def changed(settings: list[str]) -> Tabletop:
     """Return the geometry with changed dimensions `NAME=MM`; raises KitError for an invalid name or value."""
     names = {field.name for field in fields(Tabletop)}
-    values = {}
+    values = dict[str, Any]()
     for setting in settings:
         name, _, text = setting.partition("=")
         if name not in names:
             raise KitError(f"--set {setting}: there is no dimension {name!r}; see src/palmd/config/tabletop.py")
         try:
-            values[name] = float(text)
+            values[name] = type(getattr(TABLETOP, name))(float(text))
         except ValueError:
             raise KitError(f"--set {setting}: {text!r} is not a number; write {name}=MM") from None
     return replace(TABLETOP, **values)

@@ -1,7 +1,8 @@
 """MuJoCo model (MJCF) of the tabletop rig, for other simulators. Pure.
 
 World frame as palmd's: x to the right, y up, the axis along z; SI units. The object is a cylinder that moves in the
-plane of the palms. Each palm has a hinge, a position actuator and a touch sensor over the strip's active length.
+plane of the palms. The carriers are fixed to their palms and do not vibrate.
+Each palm has a hinge, a position actuator and a touch sensor over the strip's active length.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 
 from tools.tabletop.geometry import Tabletop
+from tools.tabletop.loads import carrier_mass_kg
 
 PRINTED_KG_M3 = 1240.0
 """PLA, printed solid."""
@@ -69,14 +71,16 @@ def mjcf(geometry: Tabletop) -> str:
 def _palm(g: Tabletop, number: int, direction_deg: float) -> str:
     """A palm along x at joint angle 0; the object is above palm 1 and below palm 2, which is upside down at 0."""
     side = 1.0 if direction_deg < 90.0 else -1.0
-    thick = g.palm_thickness + g.surface
-    plate = _box((g.palm_start, g.palm_length), side * -thick, g.palm_width)
-    arm = _box((0.0, g.arm_length), side * -g.arm_depth, g.cheek_thickness)
+    along = (g.palm_start, g.palm_length)
+    carrier = _box(along, side * -g.carrier_under, g.carrier_width)
+    plate = _box(along, side * -g.palm_thickness, g.palm_width, sunk=side * -g.surface)
+    arm = _box((0.0, g.arm_length), side * (g.surface - g.arm_depth), g.cheek_thickness, sunk=side * -g.surface)
     site = _box((g.strip_start, g.strip_end), side * 2.0, g.palm_width + 2.0, sunk=side * -1.0)
     across = side * -0.5e-3 * (g.cheek_start + g.cheek_end)
     return f"""    <body name="palm{number}">
       <joint name="palm{number}" type="hinge" axis="0 0 1" damping="0.01" armature="0.003"/>
-      <geom name="plate{number}" type="box" {plate.format(z=0.0)}/>
+      <geom name="carrier{number}" type="box" {carrier.format(z=0.0)} mass="{carrier_mass_kg(g):.4g}"/>
+      <geom name="plate{number}" type="box" {plate.format(z=0.0)} contype="0" conaffinity="0"/>
       <geom name="arm{number}" type="box" {arm.format(z=across)} contype="0" conaffinity="0"/>
       <site name="pad{number}" type="box" {site.format(z=0.0)} rgba="0.75 0.38 0.42 0.4"/>
     </body>"""

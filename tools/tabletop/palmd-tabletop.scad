@@ -1,6 +1,6 @@
 // The printed parts of the tabletop rig and their assembly. Lengths in mm; all dimensions are in parameters.scad, which
 // tools/tabletop/parameters.py writes from src/palmd/config/tabletop.py. x lies along a palm, y along the axis, z is up.
-// One part: openscad -D 'part="palm"' -o palm.stl palmd-tabletop.scad   (palm, bracket, base, all)
+// One part: openscad -D 'part="palm"' -o palm.stl palmd-tabletop.scad   (palm, carrier, bracket, base, all)
 include <parameters.scad>
 
 part = "all";
@@ -12,6 +12,8 @@ e = 0.01;      // overlap of a cut beyond a face
 assert(arm_start > eye_radius + clearance, "an arm would hit the other palm's eye");
 assert(palm_start > pin / 2, "the pins are inserted from between the palms");
 assert(foot_length < servo_depth, "the foot must lie below the servo");
+assert(carrier_width / 2 + clearance <= eye_start, "the carrier would rub on the eye");
+assert(motor_start > strip_end + strip_edge + tail_slot + motor_gap, "the motor would touch the strip's leads");
 
 module along_axis(y0, y1) { translate([0, y1, 0]) rotate([90, 0, 0]) linear_extrude(y1 - y0) children(); }
 module block(x0, x1, y0, y1, z0, z1) { translate([x0, y0, z0]) cube([x1 - x0, y1 - y0, z1 - z0]); }
@@ -39,11 +41,31 @@ module palm() {
             along_axis(cheek_start - e, cheek_end + e) circle(d = horn_screw);
             along_axis(cheek_start - e, cheek_start + horn_head_depth) circle(d = horn_head);
         }
-        // openings for the strip's leads, a cable tie and a rubber band
-        tail = strip_end + strip_edge;
-        block(tail, tail + tail_slot, -tail_width / 2, tail_width / 2, plate_low - e, -surface + e);
-        for (y = [-half / 2, half / 2]) translate([palm_length - 4, y, plate_low - e])
+        // openings for the strip's leads, the motor with the carrier's wall, a cable tie and a rubber band
+        leads(plate_low - e, -surface + e);
+        notch = motor_diameter / 2 + motor_gap;
+        block(motor_start - motor_gap, palm_length + e, -notch, notch, plate_low - e, -surface + e);
+        for (x = [arm_length - 4, arm_length - 10]) translate([x, (half + cheek_start) / 2, plate_low - e])
             cylinder(d = end_hole, h = palm_thickness + 2 * e);
+    }
+}
+
+module leads(z0, z1) {
+    tail = strip_end + strip_edge;
+    block(tail, tail + tail_slot, -tail_width / 2, tail_width / 2, z0, z1);
+}
+
+// Stands on foam on the plate, in the palm's coordinates; a face of the motor is glued to the end wall.
+module carrier() {
+    radius = motor_diameter / 2;
+    difference() {
+        union() {
+            block(palm_start, palm_length, -carrier_width / 2, carrier_width / 2, -carrier_under, -carrier_top);
+            block(palm_length - motor_wall, palm_length, -radius, radius, -motor_depth - radius, -carrier_top);
+        }
+        leads(-carrier_under - e, -carrier_top + e);
+        block(motor_start - motor_gap, palm_length - motor_wall, -radius - motor_gap / 2, radius + motor_gap / 2,
+              -carrier_under - e, -carrier_top + e);
     }
 }
 
@@ -90,8 +112,8 @@ module servo() {
 
 module all() {
     translate([0, 0, axis_height]) {
-        color("steelblue") rotate([0, -angle1, 0]) palm();
-        color("indianred") rotate([0, 180 - angle2, 0]) rotate([0, 0, 180]) palm();
+        rotate([0, -angle1, 0]) { color("steelblue") palm(); color("khaki") carrier(); }
+        rotate([0, 180 - angle2, 0]) rotate([0, 0, 180]) { color("indianred") palm(); color("khaki") carrier(); }
         for (turn = [0, 180]) rotate([0, 0, turn]) color("dimgray") servo();
     }
     for (turn = [0, 180]) rotate([0, 0, turn]) translate([0, bracket_start, 0]) bracket();
@@ -99,6 +121,7 @@ module all() {
 }
 
 if (part == "palm") palm();
+else if (part == "carrier") carrier();
 else if (part == "bracket") bracket();
 else if (part == "base") base();
 else all();

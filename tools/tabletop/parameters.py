@@ -7,8 +7,8 @@ from dataclasses import fields
 from tools.tabletop.geometry import Tabletop
 
 DERIVED = (
-    "strip_end", "surface", "eye_radius", "cheek_radius", "eye_start", "cheek_start", "cheek_end", "servo_start",
-    "bracket_start",
+    "strip_end", "carrier_top", "carrier_under", "surface", "foam_first", "foam_pitch", "motor_start", "motor_depth",
+    "eye_radius", "cheek_radius", "eye_start", "cheek_start", "cheek_end", "servo_start", "bracket_start",
 )  # fmt: skip
 """Derived values that the OpenSCAD file uses."""
 

@@ -115,6 +115,11 @@ def _loads(g: Tabletop) -> dict[str, str]:
     give = loads.deflection_mm(g, worst.force_n, worst.s_mm)
     usual = loads.deflection_mm(g, 0.1 * loads.GRAVITY_M_S2 / 2**0.5, 20.0)
     phi1, phi2 = worst.angles_deg
+    mount, motors = loads.mount(g), " and ".join(f"{each:.0f}" for each in loads.MOTORS_HZ)
+    soft, stiff = (loads.mount(g, each) for each in loads.FOAM_RANGE)
+    slow, fast = min(loads.MOTORS_HZ), max(loads.MOTORS_HZ)
+    force, usual_n = loads.motor_force_n(), 0.1 * loads.GRAVITY_M_S2 / 2**0.5
+    object_hz = math.sqrt(mount.normal_n_m / 0.1) / (2.0 * math.pi)
     return {
         "printed palm": f"{loads.palm_mass_kg(g) * 1e3:.0f} g",
         "largest object": f"{loads.LARGEST_KG * 1e3:.0f} g, radius {loads.LARGEST_RADIUS_MM:g} mm",
@@ -123,6 +128,21 @@ def _loads(g: Tabletop) -> dict[str, str]:
         f"stall torque of the weakest servo, {STALL_NM:g} N·m, over that": f"{STALL_NM / worst.torque_nm:.1f}",
         "deflection of the palm there": f"{give:.2f} mm, {math.degrees(give / worst.s_mm):.2f}°",
         "deflection under an object of 100 g, 20 mm from the axis": f"{usual * 1e3:.0f} µm",
+        "mass that vibrates: carrier, strip, skin, motor (1 g assumed)": f"{mount.mass_kg * 1e3:.1f} g",
+        "shear stiffness of the foam": f"{mount.shear_n_m * 1e-3:.0f} kN/m, {soft.shear_n_m * 1e-3:.0f} to"
+        f" {stiff.shear_n_m * 1e-3:.0f} with the softest foam, and the stiffest at twice its stiffness at rest",
+        "resonance f_c of the carrier along the palm": f"{mount.resonance_hz:.0f} Hz, {soft.resonance_hz:.0f} to"
+        f" {stiff.resonance_hz:.0f} Hz",
+        f"frequencies of the motors, {motors} Hz, over f_c": f"{fast / mount.resonance_hz:.2f}, at most"
+        f" {fast / soft.resonance_hz:.2f}; 0.5 to 2 must be avoided",
+        "amplitude of the speed, motors of 1 g RMS on 100 g at full drive": f"{mount.speed_m_s(force, slow) * 1e3:.0f}"
+        f" mm/s, {stiff.speed_m_s(force, slow) * 1e3:.0f} to {soft.speed_m_s(force, slow) * 1e3:.0f} mm/s;"
+        " 12 mm/s is wanted, 9 mm/s the least for a friction of 0.3",
+        "sinking of the carrier at the largest force": f"{mount.sink_mm(worst.force_n, worst.s_mm) * 1e3:.0f} µm, tilt"
+        f" {math.degrees(mount.tilt_rad(worst.force_n, worst.s_mm)):.2f}°",
+        "sinking under an object of 100 g, 20 mm from the axis": f"{mount.sink_mm(usual_n, 20.0) * 1e3:.0f} µm",
+        "an object of 100 g on the foam resonates at": f"{object_hz:.0f} Hz, too near to the motors: see"
+        " [limits of the mount](tabletop.md#limits-of-the-vibrating-mount)",
     }
 
 

@@ -15,6 +15,7 @@ BODY = 'fill="#d8dee9" stroke="#3b4252"'
 SERVO = 'fill="#eceff4" stroke="#3b4252"'
 NEW = 'fill="#ebcb8b" stroke="#3b4252"'
 METAL = 'fill="#81a1c1" stroke="#3b4252"'
+FOAM = 'fill="#a3be8c" stroke="#3b4252"'
 STRIP = 'stroke="#bf616a" stroke-width="3"'
 THIN = 'stroke="#4c566a" stroke-dasharray="6 3 1 3"'
 TIPS = 'stroke="black" marker-start="url(#tip)" marker-end="url(#tip)"'
@@ -56,9 +57,10 @@ class View:
         self.parts.append(f'<text x="{px:.1f}" y="{py:.1f}" text-anchor="{anchor}"{extra}>{words}</text>')
 
     def dimension(self, start: Point, end: Point, name: str, value: float, side: float = 1.5) -> None:
-        """Add a dimension between two points, marked with its name in the geometry."""
+        """Add a dimension between two points, marked with its name; the value of a vertical one is beside it."""
         self.line(start, end, TIPS)
-        middle = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]) + side)
+        beside = 4.0 if start[0] == end[0] else 0.0
+        middle = (0.5 * (start[0] + end[0]) + beside, 0.5 * (start[1] + end[1]) + side)
         self.text(*middle, f"{value:g}", extra=f' data-name="{name}"')
 
 

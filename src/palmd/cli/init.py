@@ -141,8 +141,9 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield f"palm{palm}", Prompt(f"Length of palm {palm} in mm", length, number(10, 2000))
     yield "tilt", Prompt("Tilt of the palms' plane from the horizontal in degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
-    yield "vibrate", Prompt("Does a shaker or vibration motor on each palm vibrate it along itself, yes or no", "no",
-                            YES_OR_NO)  # fmt: skip
+    kit = answers["pads"] == "strip" and answers["arm"] != "adept"  # its parts include a motor for each palm
+    yield "vibrate", Prompt("Does a shaker or vibration motor on each palm vibrate it along itself, yes or no",
+                            "yes" if kit else "no", YES_OR_NO)  # fmt: skip
 
 
 def _array_questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:

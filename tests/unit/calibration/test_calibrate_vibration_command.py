@@ -75,7 +75,7 @@ def test_an_uncertain_frequency_widens_the_speed_and_is_configured(config, capsy
 @pytest.mark.parametrize(
     ("shipped_as", "acceleration", "sd", "reason"),
     [
-        ("tabletop.yaml", "22", "0.5", "rig.vibration.relation"),  # no shaker
+        ("dry", "22", "0.5", "rig.vibration.relation"),  # no shaker
         ("palmd.yaml", "9000", "10", "m/s²"),  # wrong units: no pad reaches this speed
         ("palmd.yaml", "22", "15", "uncertain"),
     ],
@@ -84,7 +84,12 @@ def test_an_invalid_measurement_gives_one_line_and_writes_nothing(
     tmp_path, capsys, shipped_as, acceleration, sd, reason
 ) -> None:
     path = tmp_path / "my.yaml"
-    shutil.copy(shipped(shipped_as), path)
+    if shipped_as == "dry":
+        values = yaml.safe_load(shipped("tabletop.yaml").read_text(encoding="utf-8"))
+        values["rig"]["vibration"] = {"relation": "none"}
+        path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    else:
+        shutil.copy(shipped(shipped_as), path)
     figures = ["--acceleration-m-s2", acceleration, "--acceleration-sd-m-s2", sd, "--frequency-hz", "240"]
     assert main(["calibrate", "vibration", str(path), *figures]) == 1
     message = capsys.readouterr().err

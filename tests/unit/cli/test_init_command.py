@@ -96,9 +96,18 @@ def test_enter_accepts_the_default(monkeypatch, tmp_path):
     assert config.rig.gravity_m_s2 == 9.81
 
 
-@pytest.mark.parametrize(("answer", "relation"), [("", "none"), ("yes", "independent")])
-def test_friction_is_dry_unless_something_vibrates_the_palms(monkeypatch, tmp_path, answer, relation):
-    assert init(monkeypatch, tmp_path / "my.yaml", lines("strip", "dynamixel", vibrate=answer)) == 0
+@pytest.mark.parametrize(
+    ("pads", "arm", "answer", "relation"),
+    [
+        ("strip", "dynamixel", "", "independent"),
+        ("strip", "feetech", "", "independent"),
+        ("strip", "dynamixel", "no", "none"),
+        ("versapad", "adept", "", "none"),
+        ("versapad", "adept", "yes", "independent"),
+    ],
+)
+def test_the_kit_vibrates_and_other_rigs_on_request(monkeypatch, tmp_path, pads, arm, answer, relation):
+    assert init(monkeypatch, tmp_path / "my.yaml", lines(pads, arm, vibrate=answer)) == 0
     assert load_config(tmp_path / "my.yaml").rig.vibration.relation == relation
 
 
