@@ -137,7 +137,7 @@ class Initialiser:
             if self.extension_failed:
                 return None
             self.cost_jumped = finding is None or finding.jumps_from(self._known)
-            if self.cost_jumped and segment.end >= self._rival_from:
+            if self.cost_jumped and self.confirmed and segment.end >= self._rival_from:
                 finding = self._with_rival(search, finding, self._known)
             if finding is None and self.confirmed and now - known < LOST_S:
                 return None  # one step that is hard to fit does not reject a confirmed hypothesis
