@@ -45,7 +45,7 @@ ALONE_S = 12.0  # s of readings; a single hypothesis that predicted their end ne
 CHALLENGE = 2.0  # growth factor of the record from one blind search to the next, until one repeats the confirmation
 REACH_S = 2.0  # s of new readings in one step (choice: twice the fixed-lag smoother's: all readings are refitted)
 STEADY_S = 3.0  # s of readings since the machine was last starved, after which earlier ones may be dropped
-BANKS = 2  # in which a rival is searched
+BANKS = 2  # in which a rival is searched (study 2026-12-01: three of six banks had starts near the right motion)
 LONGEST_S, KEPT_S = 30.0, 15.0  # s of readings without any result, and how many of them are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
 """After `IN_VAIN` searches in a row that explain nothing, the latest `RENEWED_S` of readings are kept: longer records

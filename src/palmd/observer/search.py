@@ -578,9 +578,12 @@ def explained(fit: Fit, record: Record) -> bool:
         fit.process_cost > MOST_PROCESS_COST * len(record.contact_value),
         fit.prior_cost > MOST_PRIOR_COST,
     )
-    if process_cost_high or prior_cost_high or fit.outlier_run > DIVERGED_READINGS or contradicts_knowledge(fit):
+    if process_cost_high or prior_cost_high or fit.outlier_run > DIVERGED_READINGS:
         return False
-    return consistent(fit.chi2, len(record.contact_value)) and (not forces or consistent(fit.force_chi2, forces))
+    contacts_and_forces = consistent(fit.chi2, len(record.contact_value)) and (
+        not forces or consistent(fit.force_chi2, forces)
+    )
+    return contacts_and_forces and not contradicts_knowledge(fit)  # last: it costs most
 
 
 def is_implausible(fit: Fit, record: Record) -> bool:

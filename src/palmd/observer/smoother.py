@@ -27,7 +27,7 @@ SMALL_PREDICTED, LARGE_PREDICTED = 0.3, 9.0
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
 LEAST_DECREASE = 1e-3  # relative decrease of the cost required of a correction
-KNOWLEDGE_SIGMAS = 3.0  # by which constants may leave what earlier readings determine of them
+KNOWLEDGE_SIGMAS = 3.0  # by which constants may leave what earlier readings determine (choice: as for χ² of readings)
 
 
 @dataclass(slots=True)
